@@ -1,0 +1,55 @@
+# Everything that needs a tool runs in .venv, which is made on first use from the pinned requirements.lock.
+# `make` alone lists the targets.
+
+CANDIDATES := python3 python3.11 python3.12 python3.13 python3.14 python
+IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null
+PYTHON ?= $(firstword $(foreach name,$(CANDIDATES),$(shell $(name) $(IS_NEW_ENOUGH) && echo $(name))))
+
+VENV := .venv
+RUN := $(VENV)/bin/python
+READY := $(VENV)/.ready
+UV := uv==0.13.9
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow lint format lock clean
+
+help:  ## list the targets
+	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /make \1\t/' | expand -t 18
+
+$(READY): requirements.lock pyproject.toml
+	@test -n "$(PYTHON)" || { echo "flockopt needs Python 3.11 or newer; install it, or set PYTHON=/path/to/python" >&2; exit 1; }
+	@echo "setting up $(VENV) (once; a minute or two)"
+	@$(PYTHON) -m venv $(VENV)
+	@$(RUN) -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
+	@$(RUN) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $(READY)
+
+demo: $(READY)  ## plan real city blocks in Rotterdam: a table here; the plan, a picture and a 3-D page in out/
+	@mkdir -p out
+	$(RUN) -m flockopt plan examples/scenes/rotterdam.json -o out/rotterdam.plan.json \
+		--show out/rotterdam.png --show out/rotterdam.html
+
+test: $(READY)  ## run the tests
+	$(RUN) -m pytest
+
+test-slow: $(READY)  ## run the tests that take longer
+	$(RUN) -m pytest -m slow
+
+lint: $(READY)  ## check style, formatting and types
+	$(RUN) -m ruff check .
+	$(RUN) -m ruff format --check .
+	$(RUN) -m mypy
+
+format: $(READY)  ## mend what the formatter and the linter can mend
+	$(RUN) -m ruff check --fix .
+	$(RUN) -m ruff format .
+
+lock: $(READY)  ## pin the newest versions that pyproject.toml allows in requirements.lock
+	$(RUN) -m pip install --quiet $(UV)
+	$(RUN) -m uv pip compile --universal --python-version 3.11 --generate-hashes --upgrade --no-header --no-annotate \
+		--no-emit-index-url --no-emit-find-links --extra show --extra solvers --extra peers --extra dev \
+		--output-file requirements.lock pyproject.toml
+
+clean:  ## remove what the other targets made
+	rm -rf $(VENV) out build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
