@@ -16,7 +16,10 @@ from typing import Any, TypeVar
 
 from flockopt.errors import FieldError
 
-__all__ = ["integer", "keys", "number", "objects", "parse_json", "point", "read_json", "text", "unique", "write_whole"]
+__all__ = [
+    "check_output", "integer", "keys", "number", "objects", "parse_json", "point", "read_json", "shown", "text", "unique",
+    "write_whole",
+]  # fmt: skip
 
 Error = type[FieldError]
 Record = TypeVar("Record")
@@ -34,7 +37,7 @@ def number(
     """A finite number, greater than ``above`` or at least ``least`` where these are given."""
     bound = f" > {above:g}" if above is not None else f" >= {least:g}" if least is not None else ""
     rule = f"must be a finite number{bound}"
-    if isinstance(value, bool) or not isinstance(value, (int, float)) and not _is_numpy_scalar(value):
+    if isinstance(value, bool) or not (isinstance(value, (int, float)) or _is_numpy_scalar(value)):
         raise error(field, f"is {shown(value)}", rule, mend or "give a number")
     try:
         result = float(value)
@@ -63,6 +66,8 @@ def text(error: Error, field: str, value: Any) -> str:
     """A string that is not empty."""
     if not isinstance(value, str) or not value:
         raise error(field, f"is {shown(value)}", "must be a non-empty string", "give it a name")
+    if any("\ud800" <= letter <= "\udfff" for letter in value):  # JSON can hold half a character; UTF-8 cannot
+        raise error(field, f"is {shown(value)}", "must be Unicode text without lone surrogates", "correct its \\u escapes")
     return value
 
 
@@ -142,25 +147,42 @@ def read_json(error: Error, path: str | Path) -> Any:
     return parse_json(error, content, str(path))
 
 
+def check_output(error: Error, path: str | Path) -> Path:
+    """The real path of an output file, once nothing stands in the way of writing it.
+
+    To be asked before long work too, so that its result is not lost at the end.
+    """
+    try:
+        target = Path(os.path.realpath(path))
+        if target.exists() and not target.is_file():  # a directory, or a device that a rename would destroy
+            kind = "a directory" if target.is_dir() else "not a regular file"
+            raise error("", f"{path} is {kind}", "the output must be a writable file", "choose another path")
+        with tempfile.TemporaryFile(dir=target.parent):
+            return target
+    except OSError as fault:
+        raise _unwritable(error, path, fault) from None
+
+
 def write_whole(error: Error, path: str | Path, content: str | bytes) -> None:
     """Write a file whole or not at all: into a temporary neighbour first, then renamed over the target."""
-    path = Path(path)
+    target = check_output(error, path)
     data = content.encode("utf-8") if isinstance(content, str) else content
     temporary = None
     try:
-        if path.is_dir():
-            raise IsADirectoryError(21, "Is a directory")
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name[:40]}.")
         with os.fdopen(handle, "wb") as file:
             file.write(data)
         os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except OSError as fault:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
-        raise error(
-            "", f"{path} cannot be written ({fault.strerror})", "the output must be a writable file", "choose another path"
-        ) from None
+        raise _unwritable(error, path, fault) from None
+
+
+def _unwritable(error: Error, path: str | Path, fault: OSError) -> FieldError:
+    value = f"{path} cannot be written ({fault.strerror})"
+    return error("", value, "the output must be a writable file", "choose another path")
 
 
 def _umask() -> int:
