@@ -19,7 +19,7 @@ import numpy as np
 
 from flockopt import reading
 from flockopt.errors import SceneError
-from flockopt.geometry import BOX, CYLINDER, SPHERE, FloatArray, distances, obstacle_table
+from flockopt.geometry import BOX, CYLINDER, SPHERE, FloatArray, bounding_boxes, distances, obstacle_table
 
 __all__ = ["Bounds", "Box", "Cylinder", "Drone", "Obstacle", "Scene", "Sphere", "Task"]
 
@@ -276,6 +276,11 @@ class Scene:
     def obstacle_table(self) -> FloatArray:
         """(K, 9), see `flockopt.geometry.OBSTACLE_COLUMNS`."""
         return obstacle_table(self.obstacles)
+
+    @cached_property
+    def obstacle_boxes(self) -> FloatArray:
+        """(K, 2, 3) m, the obstacles' axis-aligned bounding boxes."""
+        return bounding_boxes(self.obstacle_table)
 
     @property
     def separation_axes(self) -> Point:

@@ -1,0 +1,214 @@
+"""From a scene to a certified plan: propose bundles, make flights of them, keep them apart, judge the result.
+
+Planners only propose; one pipeline finishes every proposal and `flockopt.certify` judges it. Other packages add
+planners through the entry-point group ``flockopt.planners`` (docs/adding-a-planner.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from importlib.metadata import entry_points
+from time import perf_counter
+
+import numpy as np
+
+from flockopt.allocate.bounds import BOUNDS, lower_bound
+from flockopt.allocate.refine import refine_bundles
+from flockopt.bundles import Bound, Bundles
+from flockopt.certify import certify
+from flockopt.curve import Flight
+from flockopt.errors import SettingsError
+from flockopt.geometry import FloatArray
+from flockopt.planfile import Cost, Plan
+from flockopt.scene import Scene
+from flockopt.trajectory.decode import decode
+from flockopt.trajectory.deconflict import deconflict
+from flockopt.travel import Travel, compute_travel
+
+__all__ = ["Planner", "Proposal", "Request", "plan", "planner_names"]
+
+#: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
+ALLOCATION_SHARE = 0.7
+
+ENTRY_POINTS = "flockopt.planners"
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a planner is asked.
+
+    Attributes:
+        scene: The scene.
+        travel: Its obstacle-avoiding distances and paths.
+        time_limit_s: Seconds the proposal may take, or None for the planner's own measure.
+        seed: For everything random.
+    """
+
+    scene: Scene
+    travel: Travel
+    time_limit_s: float | None
+    seed: int
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What a planner answers.
+
+    Attributes:
+        bundles: Which drone visits which tasks in which order.
+        samples: (N, T, 3) m, control points of the flights, or None to follow the any-angle paths.
+        timing: Seconds the planner spent, by stage.
+    """
+
+    bundles: Bundles
+    samples: FloatArray | None = None
+    timing: dict[str, float] = field(default_factory=dict)
+
+
+Planner = Callable[[Request], Proposal]
+
+
+def classical(request: Request) -> Proposal:
+    """Any-angle travel costs and ruin-and-recreate search."""
+    bundles = refine_bundles(request.scene, travel=request.travel, time_limit_s=request.time_limit_s, seed=request.seed)
+    return Proposal(bundles)
+
+
+PLANNERS: dict[str, Planner] = {"classical": classical}
+
+
+def planner_names() -> tuple[str, ...]:
+    """Planners at hand: flockopt's own and those of installed packages."""
+    return tuple(sorted({*PLANNERS, *(entry.name for entry in entry_points(group=ENTRY_POINTS))}))
+
+
+def _planner(name: str) -> Planner:
+    if name in PLANNERS:
+        return PLANNERS[name]
+    for entry in entry_points(group=ENTRY_POINTS):
+        if entry.name == name:
+            planner: Planner = entry.load()
+            return planner
+    raise SettingsError("planner", f"is {name!r}", f"must be one of {', '.join(planner_names())}", "choose one")
+
+
+def plan(
+    scene: Scene,
+    *,
+    planner: str = "classical",
+    time_limit_s: float | None = None,
+    seed: int = 0,
+    bound: str = "tight",
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan a fleet's flight and certify it.
+
+    Args:
+        scene: The scene.
+        planner: Who proposes: see `planner_names`.
+        time_limit_s: Seconds for the whole plan; None lets the planner stop by its own measure, which makes the
+            answer the same on every machine.
+        seed: For everything random.
+        bound: How hard to prove a lower bound: see `flockopt.allocate.bounds.lower_bound`.
+        progress: Called with a stage's name and the fraction of the whole that is done.
+
+    Returns:
+        A plan whose status is ``certified`` if every clause of its certificate holds, ``uncertified`` if the
+        certificate names clauses that fail, or ``infeasible`` with the reason and without flights.
+
+    Raises:
+        SettingsError: On an unknown planner or bound, a time limit that is not positive, or a negative seed.
+    """
+    propose = _planner(planner)
+    _check_settings(time_limit_s, seed, bound)
+    clock = _Clock(progress)
+    with clock.stage("travel", 0.0):
+        travel = compute_travel(scene)
+    with clock.stage("allocate", 0.1):
+        left = None if time_limit_s is None else max(ALLOCATION_SHARE * (time_limit_s - clock.total), 0.0)
+        proposal = propose(Request(scene, travel, left, seed))
+    bundles = proposal.bundles
+    clock.seconds.update({"generate": 0.0, **proposal.timing})
+    draft = _draft(scene, planner, bundles)
+    if bundles.status == "infeasible":
+        return replace(draft, status="infeasible", reason=bundles.reason, timing=clock.timing())
+    with clock.stage("bound", 0.5):
+        proof = lower_bound(scene, travel, bound=bound, upper=travel.total(bundles.routes))
+    with clock.stage("decode", 0.6):
+        flights = decode(scene, bundles, proposal.samples, travel=travel)
+    with clock.stage("deconflict", 0.7):
+        flights = deconflict(scene, bundles, flights, travel=travel).flights
+    draft = replace(draft, flights=flights, cost=_cost(travel, bundles, flights, proof))
+    with clock.stage("certify", 0.9):
+        certificate = certify(scene, draft, travel=travel, bound=proof)
+    status = "certified" if certificate.certified else "uncertified"
+    return replace(draft, status=status, certificate=certificate, timing=clock.timing())
+
+
+def _check_settings(time_limit_s: float | None, seed: int, bound: str) -> None:
+    if time_limit_s is not None and not (0.0 < time_limit_s < np.inf):
+        raise SettingsError("time_limit_s", f"is {time_limit_s!r}", "must be seconds > 0 or None", "give it some time")
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise SettingsError("seed", f"is {seed!r}", "must be an integer >= 0", "choose one")
+    if bound not in BOUNDS:
+        raise SettingsError("bound", f"is {bound!r}", f"must be one of {', '.join(BOUNDS)}", "choose one")
+
+
+def _draft(scene: Scene, planner: str, bundles: Bundles) -> Plan:
+    """The plan as far as the allocation makes it."""
+    names = [task.id for task in scene.tasks]
+    return Plan(
+        scene_name=scene.name,
+        scene_sha256=scene.sha256,
+        planner=planner,
+        status="uncertified",
+        routes={drone.id: tuple(names[task] for task in route) for drone, route in zip(scene.drones, bundles, strict=True)},
+        unserved={names[task]: reason for task, reason in bundles.unserved},
+        flights={},
+        cost=Cost(length=0.0, travel=0.0, lower_bound=None, gap=None, makespan=0.0),
+        certificate=None,
+        timing={},
+    )
+
+
+def _cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: Bound) -> Cost:
+    total = travel.total(bundles.routes)
+    gap = (total - proof.value) / proof.value if proof.value > 0.0 else 0.0
+    return Cost(
+        length=sum(flight.curve.length for flight in flights.values()),
+        travel=total,
+        lower_bound=proof.value,
+        gap=gap,
+        makespan=max((flight.curve.end_time for flight in flights.values()), default=0.0),
+    )
+
+
+class _Clock:
+    """Seconds per stage, and word of progress."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.progress = progress
+        self.began = perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str, fraction: float) -> Iterator[None]:
+        """Time a stage that begins when ``fraction`` of the whole is done."""
+        if self.progress is not None:
+            self.progress(name, fraction)
+        began = perf_counter()
+        yield
+        self.seconds[name] = perf_counter() - began
+
+    @property
+    def total(self) -> float:
+        """Seconds since the beginning."""
+        return perf_counter() - self.began
+
+    def timing(self) -> dict[str, float]:
+        """The stages' seconds and their total."""
+        return {**self.seconds, "total": self.total}

@@ -1,0 +1,1 @@
+"""Trajectories: from bundles to smooth flights that keep clear of obstacles and of each other."""

@@ -1,0 +1,224 @@
+"""From bundles to flights: each drone through its tasks, smooth, within limits and clear of obstacles.
+
+The closed form of `flockopt.trajectory.blend` flies a drone's waypoints without stopping. Passing exactly through
+a waypoint swings the curve a little to its outside; where that leaves the free space, the curve is mended there:
+slower legs swing less, and a drone that stops at a waypoint does not swing at all, so that the worst case is the
+polyline itself, which is clear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from flockopt.bundles import Bundles
+from flockopt.curve import Curve, Flight, Visit
+from flockopt.errors import SettingsError
+from flockopt.geometry import FloatArray, bounding_boxes, distances
+from flockopt.scene import Drone, Scene
+from flockopt.travel import Travel, compute_travel
+from flockopt.trajectory.waypoints import FLY_THROUGH, Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
+
+__all__ = ["LAWS", "decode", "fly"]
+
+#: Limits are used to this share, so that rounding never carries a flight over them.
+LIMIT_SHARE = 0.999
+
+#: Extra room kept from obstacles where the waypoints have it, metres.
+ROOM_RESERVE_M = 1e-3
+
+#: Slower legs tried beside a fault, as shares of the speed they had, before stopping is considered.
+SLOWER_SHARES = (0.7, 0.45)
+
+#: Seconds a drone that serves a task where it stands is given for it.
+SHORTEST_FLIGHT_S = 0.1
+
+
+def decode(
+    scene: Scene,
+    bundles: Bundles,
+    samples: ArrayLike | None = None,
+    *,
+    travel: Travel | None = None,
+    law: str = "fly-through",
+) -> dict[str, Flight]:
+    """Smooth flights through ordered bundles.
+
+    Args:
+        scene: The scene.
+        bundles: Which drone visits which tasks in which order.
+        samples: (N, T, 3) m, control points between the anchors (start, tasks, end) of each drone; None to follow
+            the any-angle paths.
+        travel: The scene's travel, if it is already there.
+        law: How progress along the way is timed; see `LAWS`.
+
+    Returns:
+        A flight for every drone that moves or serves a task, by drone id, all beginning at t = 0. Position, velocity
+        and acceleration are continuous, limits hold exactly, and the flight is clear of obstacles where the waypoints
+        allow it at all (the judge has the last word). Drones may still meet each other: see `deconflict`.
+
+    Raises:
+        SettingsError: On an unknown law, bundles for another fleet, or samples of a wrong shape or with a NaN.
+    """
+    if law not in LAWS:
+        raise SettingsError("law", f"is {law!r}", f"must be one of {', '.join(LAWS)}", "choose one")
+    if len(bundles) != scene.num_drones:
+        rule = f"must hold {scene.num_drones} bundles, one a drone"
+        raise SettingsError("bundles", f"hold {len(bundles)}", rule, "plan for this scene")
+    control = None if samples is None else check_samples(scene, samples)
+    travel = compute_travel(scene) if travel is None else travel
+    flights = {}
+    for index, (drone, route) in enumerate(zip(scene.drones, bundles, strict=True)):
+        if control is None:
+            waypoints = waypoints_from_paths(scene, travel, index, route)
+        else:
+            waypoints = waypoints_from_samples(scene, travel, index, route, control[index])
+        if waypoints.moves or route or np.any(drone.velocity):
+            flights[drone.id] = LAWS[law](scene, drone, waypoints)
+    return flights
+
+
+def fly(scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None) -> Flight:
+    """One drone's flight through its waypoints by the fly-through law, mended where it is not clear.
+
+    Args:
+        scene: The scene.
+        drone: Who flies.
+        waypoints: Where it flies.
+        avoided: (K, 9) more obstacle rows to keep clear of, or None.
+    """
+    if not waypoints.moves:
+        return _stay(scene, drone, waypoints)
+    room = _Room.around(scene, drone, waypoints, avoided)
+    best = _mended(_Trial.make(waypoints, room), room)
+    if drone.max_distance is not None and best.curve.length > drone.max_distance:
+        best = _Trial.make(replace(waypoints, rest_s=np.maximum(waypoints.rest_s, 0.0)), room)
+    return best.flight(scene)
+
+
+#: The ways to time a flight, by name.
+LAWS: dict[str, Callable[[Scene, Drone, Waypoints], Flight]] = {"fly-through": fly}
+
+
+def _stay(scene: Scene, drone: Drone, waypoints: Waypoints) -> Flight:
+    """The flight of a drone that serves its tasks where it stands, or brakes to a halt and returns."""
+    if np.any(drone.velocity) or np.any(drone.acceleration):
+        start = waypoints.points[0]
+        there = start + np.array(drone.velocity) * drone.max_speed / drone.max_acceleration
+        loop = Waypoints(np.array([start, there, start]), np.array([FLY_THROUGH, FLY_THROUGH, 0.0]), ((), (), waypoints.tasks[0]))
+        return _Trial.make(loop, _Room.around(scene, drone, loop)).flight(scene)
+    seconds = max(float(waypoints.rest_s[0]), SHORTEST_FLIGHT_S)
+    curve = Curve(np.array([0.0, seconds]), waypoints.points[0].reshape(1, 3, 1))
+    return Flight(curve, tuple(_visits(scene, waypoints.tasks[0], 0.0)))
+
+
+def _visits(scene: Scene, tasks: tuple[int, ...], time: float) -> Iterator[Visit]:
+    """Visits to the tasks served one after another at one point that is reached at ``time``."""
+    for task in tasks:
+        yield Visit(scene.tasks[task].id, time)
+        time += scene.tasks[task].service_time
+
+
+@dataclass(frozen=True)
+class _Room:
+    """What one drone's curve must keep to."""
+
+    table: FloatArray  # (K, 9)
+    boxes: FloatArray  # (K, 2, 3) m
+    needs: FloatArray  # (K,) m
+    lower: FloatArray  # (3,) m
+    upper: FloatArray  # (3,) m
+    limits: FloatArray  # (3,) speed, acceleration, jerk
+    velocity: FloatArray  # (3,) m/s at the start
+    acceleration: FloatArray  # (3,) m/s2 at the start
+
+    @classmethod
+    def around(cls, scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None) -> _Room:
+        need = drone.radius + scene.clearance
+        table, boxes = scene.obstacle_table, scene.obstacle_boxes
+        if avoided is not None and len(avoided):
+            table = np.vstack([table, avoided])
+            boxes = bounding_boxes(table)
+        slack = distances(table, waypoints.points).min(axis=0) - need if len(table) else np.zeros(0)
+        return cls(
+            table=table,
+            boxes=boxes,
+            needs=need + np.clip(0.2 * slack, 0.0, ROOM_RESERVE_M),
+            lower=np.array(scene.bounds.lower),
+            upper=np.array(scene.bounds.upper),
+            limits=LIMIT_SHARE * np.array([drone.max_speed, drone.max_acceleration, drone.max_jerk]),
+            velocity=np.array(drone.velocity),
+            acceleration=np.array(drone.acceleration),
+        )
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A flight of given waypoints at given speeds, and where it first leaves the free space."""
+
+    waypoints: Waypoints
+    caps: FloatArray  # (n,) m/s on each leg
+    curve: Curve
+    times: FloatArray  # (n + 1,) s at each waypoint
+    fault: int  # owner of the first piece that is not clear (2 k: around point k, 2 k + 1: the leg after it), or -1
+
+    @classmethod
+    def make(cls, waypoints: Waypoints, room: _Room, caps: FloatArray | None = None) -> _Trial:
+        from flockopt.continuous import curve_clear
+        from flockopt.trajectory.blend import first_outside, fly_polyline
+
+        if caps is None:
+            caps = np.full(len(waypoints.points) - 1, room.limits[0])
+        breakpoints, coefficients, times, owners = fly_polyline(
+            waypoints.points, waypoints.rest_s, caps, room.limits, room.velocity, room.acceleration
+        )
+        blocked = curve_clear(room.table, room.boxes, room.needs, breakpoints, coefficients)
+        outside = first_outside(room.lower, room.upper, breakpoints, coefficients)
+        faults = [int(owners[piece]) for piece in (blocked, outside) if piece >= 0]
+        return cls(waypoints, caps, Curve(breakpoints, coefficients), times, min(faults, default=-1))
+
+    def flight(self, scene: Scene) -> Flight:
+        """The flight with its visits; a rest begins when the drone has come to a halt."""
+        visits = [
+            visit
+            for tasks, time in zip(self.waypoints.tasks, self.times, strict=True)
+            for visit in _visits(scene, tasks, float(time))
+        ]
+        return Flight(self.curve, tuple(visits))
+
+    def alternatives(self) -> Iterator[tuple[Waypoints, FloatArray]]:
+        """Ways to swing less at the fault: slower legs beside it, or a stop at the points beside it."""
+        last = len(self.waypoints.points) - 1
+        points = {self.fault // 2, (self.fault + 1) // 2}
+        inner = [point for point in sorted(points) if 0 < point < last and self.waypoints.rest_s[point] < 0.0]
+        legs = sorted({leg for point in points for leg in (point - 1, point) if 0 <= leg < last})
+        for share in SLOWER_SHARES:
+            caps = self.caps.copy()
+            caps[legs] *= share
+            yield self.waypoints, caps
+        for stops in [[point] for point in inner] + ([inner] if len(inner) > 1 else []):
+            rest_s = self.waypoints.rest_s.copy()
+            rest_s[stops] = 0.0
+            yield replace(self.waypoints, rest_s=rest_s), self.caps
+
+
+def _mended(trial: _Trial, room: _Room) -> _Trial:
+    """The trial with its faults mended one after another, each in the way that costs least time."""
+    rounds = 4 * len(trial.caps)
+    while trial.fault >= 0 and rounds > 0:
+        rounds -= 1
+        tried = [_Trial.make(waypoints, room, caps) for waypoints, caps in trial.alternatives()]
+        better = [other for other in tried if other.fault < 0 or other.fault > trial.fault]
+        if better:
+            trial = min(better, key=lambda other: other.curve.duration)
+        elif (tried[-1].waypoints.rest_s != trial.waypoints.rest_s).any():
+            trial = tried[-1]
+        else:
+            break
+    if trial.fault >= 0:
+        stopping = replace(trial.waypoints, rest_s=np.maximum(trial.waypoints.rest_s, 0.0))
+        return _Trial.make(stopping, room)
+    return trial
