@@ -21,8 +21,8 @@ def test_values_equal_numpys_polynomials(order):
     for t, value in zip(times, CURVE(times, order), strict=True):
         piece = min(int(np.searchsorted(BREAKPOINTS, t, side="right")) - 1, 2)
         local = t - BREAKPOINTS[piece]
-        expected = [np.polynomial.Polynomial(c).deriv(order)(local) if order else np.polynomial.Polynomial(c)(local)
-                    for c in CURVE.coefficients[piece]]  # fmt: skip
+        polynomials = [np.polynomial.Polynomial(axis) for axis in CURVE.coefficients[piece]]
+        expected = [(axis.deriv(order) if order else axis)(local) for axis in polynomials]
         np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-9)
 
 

@@ -17,50 +17,37 @@ OBSTACLES = (
 TABLE = obstacle_table(OBSTACLES)
 
 
-def inside(obstacle, point):
-    """Whether a point lies in the solid, from its definition."""
+def rooms(obstacle, point):
+    """Numbers that are all >= 0 exactly in the solid, smooth in the point."""
     x, y, z = np.asarray(point) - obstacle.center
     if isinstance(obstacle, Sphere):
-        return x * x + y * y + z * z <= obstacle.radius**2
+        return [obstacle.radius**2 - x * x - y * y - z * z]
     if isinstance(obstacle, Cylinder):
-        return x * x + y * y <= obstacle.radius**2 and abs(z) <= obstacle.height / 2
+        return [obstacle.radius**2 - x * x - y * y, obstacle.height / 2 - z, obstacle.height / 2 + z]
     cos, sin = np.cos(obstacle.yaw), np.sin(obstacle.yaw)
-    local = np.abs([cos * x + sin * y, cos * y - sin * x, z])
-    return bool((local <= np.array(obstacle.size) / 2).all())
+    local, halves = np.array([cos * x + sin * y, cos * y - sin * x, z]), np.array(obstacle.size) / 2
+    return [*(halves - local), *(halves + local)]
 
 
 def nearest_distance(obstacle, point):
-    """Distance to the solid by minimising over a parametrisation of it."""
-    center = np.array(obstacle.center)
-
-    def place(u):
-        if isinstance(obstacle, Sphere):
-            return center + obstacle.radius * u / max(np.linalg.norm(u), 1.0)
-        if isinstance(obstacle, Cylinder):
-            flat = u[:2] / max(np.linalg.norm(u[:2]), 1.0)
-            return center + np.array([*(obstacle.radius * flat), obstacle.height / 2 * np.clip(u[2], -1, 1)])
-        cos, sin = np.cos(obstacle.yaw), np.sin(obstacle.yaw)
-        x, y, z = np.array(obstacle.size) / 2 * np.clip(u, -1, 1)
-        return center + np.array([cos * x - sin * y, sin * x + cos * y, z])
-
-    starts = np.random.default_rng(1).uniform(-1, 1, (3, 3))
-    options = {"xatol": 1e-10, "fatol": 1e-12, "maxiter": 1500}
-    found = [minimize(lambda u: np.linalg.norm(place(u) - point), s, method="Nelder-Mead", options=options).fun for s in starts]
-    return min(found)
+    """Distance to the solid, as a convex program."""
+    solid = {"type": "ineq", "fun": lambda q: rooms(obstacle, q)}
+    found = minimize(lambda q: np.sum((q - point) ** 2), obstacle.center, method="SLSQP", constraints=solid, tol=1e-14)
+    return np.sqrt(found.fun)
 
 
 @pytest.mark.parametrize("index", range(3))
 def test_outside_distances_agree_with_a_numeric_minimum(index):
-    points = np.random.default_rng(7).uniform(-6, 6, (8, 3))
+    points = np.random.default_rng(7).uniform(-6, 6, (40, 3))
     for point in points:
-        if not inside(OBSTACLES[index], point):
+        if min(rooms(OBSTACLES[index], point)) < 0:
             assert distances(TABLE, point)[0, index] == pytest.approx(nearest_distance(OBSTACLES[index], point), abs=1e-6)
 
 
 @pytest.mark.parametrize("index", range(3))
 def test_the_sign_tells_inside_from_outside(index):
     points = np.random.default_rng(3).uniform(-5, 6, (4000, 3))
-    expected = np.array([inside(OBSTACLES[index], point) for point in points])
+    expected = np.array([min(rooms(OBSTACLES[index], point)) >= 0 for point in points])
     assert expected.any()
     np.testing.assert_array_equal(distances(TABLE, points)[:, index] <= 0, expected)
 
