@@ -93,8 +93,8 @@ def fly(scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | 
     if not waypoints.moves:
         return _stay(scene, drone, waypoints)
     room = _Room.around(scene, drone, waypoints, avoided)
-    best = _mended(_Trial.make(waypoints, room), room)
-    if drone.max_distance is not None and best.curve.length > drone.max_distance:
+    best = _mended(_widened(_Trial.make(waypoints, room), room), room)
+    if drone.max_distance is not None and Curve(best.breakpoints, best.coefficients).length > drone.max_distance:
         best = _Trial.make(replace(waypoints, rest_s=np.maximum(waypoints.rest_s, 0.0)), room)
     return best.flight(scene)
 
@@ -161,7 +161,8 @@ class _Trial:
 
     waypoints: Waypoints
     caps: FloatArray  # (n,) m/s on each leg
-    curve: Curve
+    breakpoints: FloatArray  # (P + 1,) s
+    coefficients: FloatArray  # (P, 3, D)
     times: FloatArray  # (n + 1,) s at each waypoint
     fault: int  # owner of the first piece that is not clear (2 k: around point k, 2 k + 1: the leg after it), or -1
 
@@ -178,7 +179,12 @@ class _Trial:
         blocked = curve_clear(room.table, room.boxes, room.needs, breakpoints, coefficients)
         outside = first_outside(room.lower, room.upper, breakpoints, coefficients)
         faults = [int(owners[piece]) for piece in (blocked, outside) if piece >= 0]
-        return cls(waypoints, caps, Curve(breakpoints, coefficients), times, min(faults, default=-1))
+        return cls(waypoints, caps, breakpoints, coefficients, times, min(faults, default=-1))
+
+    @property
+    def seconds(self) -> float:
+        """How long the flight takes."""
+        return float(self.breakpoints[-1])
 
     def flight(self, scene: Scene) -> Flight:
         """The flight with its visits; a rest begins when the drone has come to a halt."""
@@ -187,7 +193,7 @@ class _Trial:
             for tasks, time in zip(self.waypoints.tasks, self.times, strict=True)
             for visit in _visits(scene, tasks, float(time))
         ]
-        return Flight(self.curve, tuple(visits))
+        return Flight(Curve(self.breakpoints, self.coefficients), tuple(visits))
 
     def alternatives(self) -> Iterator[tuple[Waypoints, FloatArray]]:
         """Ways to swing less at the fault: slower legs beside it, or a stop at the points beside it."""
@@ -205,6 +211,18 @@ class _Trial:
             yield replace(self.waypoints, rest_s=rest_s), self.caps
 
 
+def _widened(trial: _Trial, room: _Room) -> _Trial:
+    """The trial with close corners merged as long as that saves time."""
+    from flockopt.trajectory.corners import merged_corners
+
+    while True:
+        ways = merged_corners(trial.waypoints, room.table, room.boxes, room.needs, room.lower, room.upper)
+        best = min((_Trial.make(way, room) for way in ways), key=lambda other: other.seconds, default=trial)
+        if best.seconds >= trial.seconds:
+            return trial
+        trial = best
+
+
 def _mended(trial: _Trial, room: _Room) -> _Trial:
     """The trial with its faults mended one after another, each in the way that costs least time."""
     rounds = 4 * len(trial.caps)
@@ -213,7 +231,7 @@ def _mended(trial: _Trial, room: _Room) -> _Trial:
         tried = [_Trial.make(waypoints, room, caps) for waypoints, caps in trial.alternatives()]
         better = [other for other in tried if other.fault < 0 or other.fault > trial.fault]
         if better:
-            trial = min(better, key=lambda other: other.curve.duration)
+            trial = min(better, key=lambda other: other.seconds)
         elif (tried[-1].waypoints.rest_s != trial.waypoints.rest_s).any():
             trial = tried[-1]
         else:

@@ -130,7 +130,7 @@ class Detours:
     def _roadmap(self, drone: int, balls: FloatArray) -> Roadmap:
         table = np.vstack([self.scene.obstacle_table, balls])
         need = self.scene.drones[drone].radius + self.scene.clearance
-        return Roadmap(table, np.full(len(table), need + 1e-6), self.scene.bounds)
+        return Roadmap(table, np.full(len(table), need + 1e-6), (self.scene.bounds.lower, self.scene.bounds.upper))
 
     def _may_move_on(self, drone: int) -> bool:
         """Whether a drone may leave the place where it would park: it has no end and is not grounded."""
