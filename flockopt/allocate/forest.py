@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flockopt.geometry import FloatArray
 
-__all__ = ["ascend", "forest_value"]
+__all__ = ["ascend", "forest_value", "task_shares"]
 
 #: Share of the new direction in a step; the rest is the last direction, which damps the zigzag.
 DIRECTION_SHARE = 0.7
@@ -41,9 +41,14 @@ def _roots(starts: FloatArray, start_prices: FloatArray, costs: FloatArray, owne
 
 @njit(cache=True)
 def _grow(
-    between: FloatArray, roots: FloatArray, prices: FloatArray, degrees: NDArray[np.int64], rooted: NDArray[np.bool_]
+    between: FloatArray,
+    roots: FloatArray,
+    prices: FloatArray,
+    degrees: NDArray[np.int64],
+    rooted: NDArray[np.bool_],
+    shares: FloatArray,
 ) -> float:
-    """Prim's algorithm from the super-root: the tree's weight; degrees and hangs-from-the-root by reference.
+    """Prim's algorithm from the super-root: the tree's weight, and its make-up by reference.
 
     Args:
         between: (M, M) m between tasks.
@@ -51,6 +56,7 @@ def _grow(
         prices: (M,) m, added to a cost once for each task it touches.
         degrees: (M,) filled with each task's neighbours in the tree.
         rooted: (M,) filled with whether the super-root is one of them.
+        shares: (M,) filled with the cost of the leg that reached each task.
     """
     num = roots.shape[0]
     keys = np.empty(num)
@@ -68,6 +74,7 @@ def _grow(
                 best = k
         task = open_tasks[best]
         total += keys[best]
+        shares[task] = keys[best]
         degrees[task] += 1
         if parents[best] < 0:
             rooted[task] = True
@@ -91,8 +98,22 @@ def forest_value(starts: FloatArray, between: FloatArray, prices: FloatArray, st
     num = starts.shape[1]
     roots, owners = np.empty(num), np.empty(num, np.int64)
     _roots(starts, start_prices, roots, owners)
-    weight = _grow(between, roots, prices, np.empty(num, np.int64), np.empty(num, np.bool_))
+    weight = _grow(between, roots, prices, np.empty(num, np.int64), np.empty(num, np.bool_), roots.copy())
     return float(weight - 2.0 * prices.sum() - start_prices.sum())
+
+
+@njit(cache=True)
+def task_shares(starts: FloatArray, between: FloatArray, prices: FloatArray, start_prices: FloatArray) -> FloatArray:
+    """The bound shared out over the tasks (M,), metres: what each pays to hang on to the tree.
+
+    No group of tasks pays more than a tree of its own would cost (Bird 1976), so no route earns more from these
+    shares than it costs, and they are prices of routes that prove the forest's bound.
+    """
+    num = starts.shape[1]
+    roots, owners, shares = np.empty(num), np.empty(num, np.int64), np.empty(num)
+    _roots(starts, start_prices, roots, owners)
+    _grow(between, roots, prices, np.empty(num, np.int64), np.empty(num, np.bool_), shares)
+    return shares - 2.0 * prices
 
 
 @njit(cache=True)
@@ -136,11 +157,12 @@ def ascend(starts: FloatArray, between: FloatArray, rounds: int, upper: float) -
     best_prices = prices.copy()
     gradient, direction = np.zeros(num + num_drones), np.zeros(num + num_drones)
     roots, owners = np.empty(num), np.empty(num, np.int64)
-    degrees, rooted = np.empty(num, np.int64), np.empty(num, np.bool_)
+    degrees, rooted, shares = np.empty(num, np.int64), np.empty(num, np.bool_), np.empty(num)
     best, reach, stale = -np.inf, FIRST_REACH, 0
     for step in range(rounds):
         _roots(starts, prices[num:], roots, owners)
-        value = _grow(between, roots, prices[:num], degrees, rooted) - 2.0 * prices[:num].sum() - prices[num:].sum()
+        weight = _grow(between, roots, prices[:num], degrees, rooted, shares)
+        value = weight - 2.0 * prices[:num].sum() - prices[num:].sum()
         if not np.isfinite(value):
             break
         stale = 0 if value - best > LEAST_GAIN * reach * abs(best) else stale + 1
