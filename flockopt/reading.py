@@ -126,7 +126,7 @@ def parse_json(error: Error, content: str, source: str) -> Any:
         record = dict(items)
         if len(record) < len(items):
             twice = next(key for index, (key, _) in enumerate(items) if key in dict(items[:index]))
-            raise error(twice, f"stands twice in one object of {source}", "keys must be unique", "remove one of the two")
+            raise error(twice, "stands twice in one object", "keys must be unique", "remove one of the two")
         return record
 
     try:
