@@ -34,8 +34,8 @@ class Curve:
     coefficients: FloatArray  # (K, 3, D)
 
     def __post_init__(self) -> None:
-        breakpoints = np.array(self.breakpoints, dtype=np.float64)
-        coefficients = np.array(self.coefficients, dtype=np.float64)
+        breakpoints = np.array(self.breakpoints, dtype=np.float64, order="C")
+        coefficients = np.array(self.coefficients, dtype=np.float64, order="C")
         if coefficients.ndim != 3 or coefficients.shape[0] < 1 or coefficients.shape[1] != 3 or coefficients.shape[2] < 1:
             raise SettingsError("coefficients", f"has shape {coefficients.shape}", "must be (pieces, 3, terms)", "reshape it")
         if breakpoints.shape != (len(coefficients) + 1,):
