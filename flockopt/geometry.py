@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BOX", "CYLINDER", "OBSTACLE_COLUMNS", "SPHERE",
-    "bounding_boxes", "distances", "obstacle_table", "segment_distances", "surface_normals",
+    "bounding_boxes", "distances", "obstacle_table", "surface_normals",
 ]  # fmt: skip
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
@@ -71,24 +71,6 @@ def _prism(excess: FloatArray) -> FloatArray:
     """Signed distance from per-axis excesses: outside the Euclidean norm, inside the nearest face."""
     outside = np.sqrt(np.sum(np.maximum(excess, 0.0) ** 2, axis=-1))
     return outside + np.minimum(np.max(excess, axis=-1), 0.0)
-
-
-def segment_distances(table: FloatArray, starts: ArrayLike, ends: ArrayLike) -> FloatArray:
-    """Least signed distance of every segment to every obstacle, exact to 1e-9 m.
-
-    Args:
-        table: (K, 9) obstacle table.
-        starts: (P, 3) m.
-        ends: (P, 3) m.
-
-    Returns:
-        (P, K) m, negative where the segment enters the obstacle.
-    """
-    from flockopt.kernels import segment_distance_matrix
-
-    starts = np.ascontiguousarray(np.asarray(starts, dtype=np.float64).reshape(-1, 3))
-    ends = np.ascontiguousarray(np.asarray(ends, dtype=np.float64).reshape(-1, 3))
-    return segment_distance_matrix(table, starts, ends)
 
 
 def surface_normals(table: FloatArray, points: ArrayLike, step: float = 1e-6) -> FloatArray:

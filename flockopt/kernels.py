@@ -10,10 +10,11 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from flockopt.geometry import BOX, CYLINDER, FloatArray
 
-__all__ = ["point_distance", "point_gradient", "segment_clear", "segment_distance", "segment_distance_matrix"]
+__all__ = ["point_distance", "point_gradient", "segment_clear", "segment_distance", "segment_distances"]
 
 #: A segment's least distance is found to this many metres.
 SEGMENT_TOLERANCE_M = 1e-9
@@ -158,10 +159,26 @@ def segment_near_box(box: FloatArray, reach: float, p: FloatArray, q: FloatArray
 
 
 @njit(cache=True)
-def segment_distance_matrix(table: FloatArray, starts: FloatArray, ends: FloatArray) -> FloatArray:
+def _segment_distances(table: FloatArray, starts: FloatArray, ends: FloatArray) -> FloatArray:
     """Least signed distance of every segment (P, 3)-(P, 3) to every obstacle, (P, K) m."""
     result = np.empty((starts.shape[0], table.shape[0]))
     for i in range(starts.shape[0]):
         for k in range(table.shape[0]):
             result[i, k] = segment_distance(table[k], starts[i], ends[i], np.inf, -np.inf)
     return result
+
+
+def segment_distances(table: FloatArray, starts: ArrayLike, ends: ArrayLike) -> FloatArray:
+    """Least signed distance of every segment to every obstacle, exact to 1e-9 m.
+
+    Args:
+        table: (K, 9) obstacle table.
+        starts: (P, 3) m.
+        ends: (P, 3) m.
+
+    Returns:
+        (P, K) m, negative where the segment enters the obstacle.
+    """
+    starts = np.ascontiguousarray(np.asarray(starts, dtype=np.float64).reshape(-1, 3))
+    ends = np.ascontiguousarray(np.asarray(ends, dtype=np.float64).reshape(-1, 3))
+    return _segment_distances(table, starts, ends)

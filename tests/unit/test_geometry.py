@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from flockopt.geometry import bounding_boxes, distances, obstacle_table, segment_distances, surface_normals
+from flockopt.geometry import bounding_boxes, distances, obstacle_table, surface_normals
+from flockopt.kernels import segment_distances
 from flockopt.scene import Box, Cylinder, Sphere
 
 OBSTACLES = (

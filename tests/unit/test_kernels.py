@@ -61,7 +61,7 @@ def test_gradients_are_subgradients_everywhere(rng):
 def test_segments_stop_early_only_when_they_may(rng):
     table = random_table(rng)
     starts, ends = rng.uniform(-8, 8, (2, 80, 3))
-    exact = kernels.segment_distance_matrix(table, starts, ends)
+    exact = kernels.segment_distances(table, starts, ends)
     for p, q, row_of_exact in zip(starts, ends, exact, strict=True):
         for row, least in zip(table, row_of_exact, strict=True):
             enough = kernels.segment_distance(row, p, q, 0.5, -np.inf)
@@ -76,7 +76,7 @@ def test_clear_segments_keep_their_needs(rng):
     table = random_table(rng)
     boxes, needs = bounding_boxes(table), rng.uniform(0.0, 0.5, len(table))
     starts, ends = rng.uniform(-8, 8, (2, 400, 3))
-    least = kernels.segment_distance_matrix(table, starts, ends)
+    least = kernels.segment_distances(table, starts, ends)
     clear = np.array([kernels.segment_clear(table, boxes, needs, p, q) for p, q in zip(starts, ends, strict=True)])
     assert 0 < clear.sum() < len(clear)
     np.testing.assert_array_equal(clear, (least >= needs - kernels.SEGMENT_TOLERANCE_M).all(axis=1))
