@@ -24,8 +24,8 @@ PLAN_EXAMPLES = """examples:
   flockopt plan scene.json -o plan.json --show plan.png --show plan.html
   flockopt plan scene.json -o plan.json --time-limit 5 --bound tight --seed 3"""
 
-VERIFY_EXAMPLES = """Nothing in the plan's own certificate is believed: coverage, capacities, limits, clearances, separations and the lower
-bound are all computed anew, in continuous time, from the scene and the plan's polynomials.
+VERIFY_EXAMPLES = """Nothing in the plan's own certificate is believed: coverage, capacities, limits, clearances,
+separations and the lower bound are computed anew, in continuous time, from the scene and the plan's polynomials.
 
 example:
   flockopt verify scene.json plan.json"""
