@@ -132,9 +132,10 @@ def segment_clear(table: FloatArray, boxes: FloatArray, needs: FloatArray, p: Fl
         q: (3,) m.
     """
     for k in range(table.shape[0]):
-        if segment_near_box(boxes[k], needs[k], p, q):
-            if segment_distance(table[k], p, q, needs[k], needs[k] - 1e-12) < needs[k] - SEGMENT_TOLERANCE_M:
-                return False
+        if not segment_near_box(boxes[k], needs[k], p, q):
+            continue
+        if segment_distance(table[k], p, q, needs[k], needs[k] - 1e-12) < needs[k] - SEGMENT_TOLERANCE_M:
+            return False
     return True
 
 
