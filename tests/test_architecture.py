@@ -1,0 +1,137 @@
+"""Imports point one way: every file imports only what stands above it in docs/architecture.md."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("flockopt", "learned", "sim", "benchmarks")
+
+#: Which of our packages each of them may import, besides itself.
+ALLOWED = {"flockopt": set(), "learned": {"flockopt"}, "sim": {"flockopt"}, "benchmarks": {"flockopt", "learned", "sim"}}
+
+
+def module_name(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def sources(package):
+    return {module_name(path): path for path in sorted((ROOT / package).rglob("*.py"))}
+
+
+MODULES = {name: path for package in PACKAGES for name, path in sources(package).items()}
+
+
+def layers():
+    """The modules of flockopt in the order of the map in docs/architecture.md."""
+    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    block = re.search(r"```text\n(errors.*?)```", text, re.DOTALL)
+    lines = [line.split("  ")[0].strip() for line in block.group(1).splitlines()]
+    return [f"flockopt.{name}" for line in lines for name in line.replace(",", " ").split()]
+
+
+def is_type_checking(node):
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+
+
+def imports(name):
+    """What a module imports of ours, wherever in the file; imports for type checkers only are left out."""
+    found = set()
+
+    def visit(node):
+        if is_type_checking(node):
+            for child in node.orelse:
+                visit(child)
+            return
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name} has a relative import"
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                found.add(whole if whole in MODULES and not _is_own_name(node.module, alias.name) else node.module)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module") and name != "flockopt":
+            assert isinstance(node.args[0], ast.Constant), f"{name} imports by a computed name"
+            found.add(node.args[0].value)
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    visit(ast.parse(MODULES[name].read_text(encoding="utf-8")))
+    return {module for module in found if module.split(".")[0] in PACKAGES} - {name}
+
+
+def _is_own_name(package, name):
+    """Whether ``from package import name`` means the function of that name, not the module."""
+    if package == "flockopt":
+        import flockopt
+
+        return name in flockopt.__all__
+    initial = MODULES.get(package)
+    return initial is not None and f"import {name}" in initial.read_text(encoding="utf-8")
+
+
+def is_package(name):
+    return MODULES[name].name == "__init__.py"
+
+
+def rank(name, order):
+    """A package's __init__ re-exports, so importing it needs its last module."""
+    if is_package(name):
+        return max(index for index, other in enumerate(order) if other.startswith(f"{name}."))
+    return order.index(name)
+
+
+def test_the_map_names_every_module_once():
+    order = layers()
+    assert len(order) == len(set(order))
+    modules = {name for name in sources("flockopt") if not is_package(name)}
+    assert set(order) == modules, "docs/architecture.md and the files differ"
+
+
+@pytest.mark.parametrize("name", [name for name in sources("flockopt") if name != "flockopt" and not is_package(name)])
+def test_imports_point_up(name):
+    order = layers()
+    for target in imports(name) - {"flockopt"}:
+        assert target in MODULES, f"{name} imports {target}, which does not exist"
+        assert rank(target, order) < rank(name, order), f"{name} imports {target}, which stands below it"
+
+
+@pytest.mark.parametrize("name", [name for name in sources("flockopt") if is_package(name) and name != "flockopt"])
+def test_packages_only_re_export(name):
+    tree = ast.parse(MODULES[name].read_text(encoding="utf-8"))
+    for node in tree.body:
+        text = ast.unparse(node)
+        assert isinstance(node, (ast.ImportFrom, ast.Expr)) or text.startswith("__all__"), f"{name} does more: {text}"
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_packages_import_only_what_they_may(name):
+    package = name.split(".")[0]
+    others = {target.split(".")[0] for target in imports(name)} - {package}
+    assert others <= ALLOWED[package]
+
+
+def test_the_judge_imports_no_planner():
+    reached, waiting = set(), ["flockopt.certify"]
+    while waiting:
+        name = waiting.pop()
+        if name not in reached:
+            reached.add(name)
+            waiting += imports(name) if name != "flockopt" else ()
+    planners = ("flockopt.allocate", "flockopt.trajectory", "flockopt.plan", "learned", "sim")
+    assert not {name for name in reached if name.startswith(planners) and name != "flockopt.planfile"}
+    assert {"flockopt.scene", "flockopt.curve"} <= reached
+
+
+def test_an_edge_that_points_down_would_be_seen(tmp_path, monkeypatch):
+    path = tmp_path / "curve.py"
+    path.write_text("def deferred():\n    from flockopt.plan import plan\n    return plan\n")
+    monkeypatch.setitem(MODULES, "flockopt.curve", path)
+    assert imports("flockopt.curve") == {"flockopt.plan"}
+    with pytest.raises(AssertionError, match="stands below"):
+        test_imports_point_up("flockopt.curve")
