@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 TWO_DRONES = json.loads((ROOT / "examples/scenes/two-drones.json").read_text(encoding="utf-8"))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def root():
     """The repository's root directory."""
     return ROOT

@@ -52,7 +52,7 @@ def workplace(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize(("code", "expected"), cases("python"))
+@pytest.mark.parametrize(("code", "expected"), [*cases("python")])
 def test_python_examples(workplace, code, expected):
     done = run([sys.executable, "-c", code], workplace)
     assert done.returncode == 0, done.stderr
@@ -60,7 +60,7 @@ def test_python_examples(workplace, code, expected):
         assert done.stdout.split() == expected.split()
 
 
-@pytest.mark.parametrize(("code", "expected"), cases("bash", "sh", "console"))
+@pytest.mark.parametrize(("code", "expected"), [*cases("bash", "sh", "console")])
 def test_shell_examples(workplace, code, expected):
     for line in code.replace("\\\n", " ").splitlines():
         words = shlex.split(line, comments=True)
