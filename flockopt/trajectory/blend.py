@@ -95,8 +95,33 @@ def _change(velocities: FloatArray, k: int) -> float:
 
 
 @njit(cache=True)
+def _without_cruises(leg_s: FloatArray, blend_s: FloatArray, unwanted: int) -> FloatArray:
+    """Longer blends, so that on up to ``unwanted`` legs the two meet and no cruise is left between them.
+
+    The shortest cruises go first. A longer blend also reaches into the leg on its other side, which must have
+    room for it.
+    """
+    legs = leg_s.shape[0]
+    blend_s = blend_s.copy()
+    slack = leg_s - (blend_s[:-1] + blend_s[1:]) / 2
+    for _ in range(unwanted):
+        chosen, share = -1, 0.0
+        for k in range(legs):
+            left = 2 * slack[k - 1] if k > 0 else np.inf
+            right = 2 * slack[k + 1] if k + 1 < legs else np.inf
+            if 1e-9 < slack[k] and left + right >= 2 * slack[k] and (chosen < 0 or slack[k] < slack[chosen]):
+                chosen, share = k, min(left, max(slack[k], 2 * slack[k] - right))
+        if chosen < 0:
+            break
+        blend_s[chosen] += share
+        blend_s[chosen + 1] += 2 * slack[chosen] - share
+        slack = leg_s - (blend_s[:-1] + blend_s[1:]) / 2
+    return blend_s
+
+
+@njit(cache=True)
 def _durations(
-    points: FloatArray, caps: FloatArray, limits: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    points: FloatArray, caps: FloatArray, limits: FloatArray, velocity: FloatArray, acceleration: FloatArray, unwanted: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Leg seconds, blend seconds and control vertices of one stage that ends at rest.
 
@@ -123,6 +148,7 @@ def _durations(
         meeting = (blend_s[k] + blend_s[k + 1]) / 2
         if leg_s[k] - meeting < SHORTEST_CRUISE * leg_s[k]:
             leg_s[k] = meeting
+    blend_s = _without_cruises(leg_s, blend_s, unwanted)
     return leg_s, blend_s, _control_vertices(points, leg_s, blend_s, velocity, acceleration)
 
 
@@ -186,6 +212,7 @@ def fly_polyline(
     limits: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
+    unwanted: int = 0,
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
     """A C2 flight through every point of a polyline.
 
@@ -196,6 +223,7 @@ def fly_polyline(
         limits: (3,) greatest speed, acceleration and jerk.
         velocity: (3,) m/s at the first point.
         acceleration: (3,) m/s2 at the first point.
+        unwanted: How many cruises to do without between two stops, at the price of longer blends.
 
     Returns:
         breakpoints (K + 1,) s from 0; coefficients (K, 3, 5); the time at each point (n + 1,) s; and for each
@@ -211,7 +239,7 @@ def fly_polyline(
         while last < count - 1 and rest_s[last] < 0.0:
             last += 1
         stage = points[first : last + 1]
-        leg_s, blend_s, vertices = _durations(stage, caps[first:last], limits, entry_velocity, entry_acceleration)
+        leg_s, blend_s, vertices = _durations(stage, caps[first:last], limits, entry_velocity, entry_acceleration, unwanted)
         velocities = _leg_velocities(vertices, leg_s, entry_velocity)
         if _norm(entry_velocity) + _norm(entry_acceleration) == 0.0:
             scale = _time_scale(leg_s, blend_s, velocities, caps[first:last], limits)

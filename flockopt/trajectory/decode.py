@@ -30,6 +30,9 @@ LIMIT_SHARE = 0.999
 #: Extra room kept from obstacles where the waypoints have it, metres.
 ROOM_RESERVE_M = 1e-3
 
+#: Pieces a Crazyflie's trajectory memory holds; flights are made to fit it where that is possible.
+MOST_PIECES = 31
+
 #: Slower legs tried beside a fault, as shares of the speed they had, before stopping is considered.
 SLOWER_SHARES = (0.7, 0.45)
 
@@ -96,7 +99,7 @@ def fly(scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | 
     best = _mended(_widened(_Trial.make(waypoints, room), room), room)
     if drone.max_distance is not None and Curve(best.breakpoints, best.coefficients).length > drone.max_distance:
         best = _Trial.make(replace(waypoints, rest_s=np.maximum(waypoints.rest_s, 0.0)), room)
-    return best.flight(scene)
+    return _shortened(best, room).flight(scene)
 
 
 #: The ways to time a flight, by name.
@@ -167,14 +170,14 @@ class _Trial:
     fault: int  # owner of the first piece that is not clear (2 k: around point k, 2 k + 1: the leg after it), or -1
 
     @classmethod
-    def make(cls, waypoints: Waypoints, room: _Room, caps: FloatArray | None = None) -> _Trial:
+    def make(cls, waypoints: Waypoints, room: _Room, caps: FloatArray | None = None, unwanted: int = 0) -> _Trial:
         from flockopt.continuous import curve_clear
         from flockopt.trajectory.blend import first_outside, fly_polyline
 
         if caps is None:
             caps = np.full(len(waypoints.points) - 1, room.limits[0])
         breakpoints, coefficients, times, owners = fly_polyline(
-            waypoints.points, waypoints.rest_s, caps, room.limits, room.velocity, room.acceleration
+            waypoints.points, waypoints.rest_s, caps, room.limits, room.velocity, room.acceleration, unwanted
         )
         blocked = curve_clear(room.table, room.boxes, room.needs, breakpoints, coefficients)
         outside = first_outside(room.lower, room.upper, breakpoints, coefficients)
@@ -221,6 +224,16 @@ def _widened(trial: _Trial, room: _Room) -> _Trial:
         if best.seconds >= trial.seconds:
             return trial
         trial = best
+
+
+def _shortened(trial: _Trial, room: _Room) -> _Trial:
+    """The trial with fewer pieces where it has more than `MOST_PIECES`: cruises are given up, shortest first."""
+    excess = 0 if np.any(room.velocity) else len(trial.coefficients) - MOST_PIECES
+    for unwanted in range(excess, len(trial.caps) + 1) if excess > 0 else ():
+        fewer = _Trial.make(trial.waypoints, room, trial.caps, unwanted)
+        if fewer.fault < 0 and len(fewer.coefficients) <= MOST_PIECES:
+            return fewer
+    return trial
 
 
 def _mended(trial: _Trial, room: _Room) -> _Trial:

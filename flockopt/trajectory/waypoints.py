@@ -68,11 +68,20 @@ class Waypoints:
 
 
 def waypoints_from_paths(scene: Scene, travel: Travel, drone: int, route: Sequence[int]) -> Waypoints:
-    """The shortest obstacle-avoiding way through a drone's tasks in order, and on to its end if it has one."""
+    """The shortest obstacle-avoiding way through a drone's tasks in order, and on to its end if it has one.
+
+    Raises:
+        SettingsError: If there is no way between two of them.
+    """
     stops = [START, *route] + ([END] if scene.drones[drone].end_point is not None else [])
     if len(stops) == 1:
         return Waypoints(scene.starts[drone : drone + 1], np.zeros(1), ((),))
-    return Waypoints.join(scene, route, [travel.path(drone, *pair) for pair in zip(stops[:-1], stops[1:], strict=True)])
+    legs = [travel.path(drone, *pair) for pair in zip(stops[:-1], stops[1:], strict=True)]
+    for index, leg in enumerate(legs):
+        if not len(leg):
+            rule = f"leg {index} must have a way for drone {scene.drones[drone].id!r}"
+            raise SettingsError(f"bundles[{drone}]", f"is {tuple(route)}", rule, "leave unreachable tasks out")
+    return Waypoints.join(scene, route, legs)
 
 
 def check_samples(scene: Scene, samples: ArrayLike) -> FloatArray:
