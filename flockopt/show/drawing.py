@@ -1,0 +1,48 @@
+"""One way in for all drawings: the file's suffix says which."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flockopt import reading
+from flockopt.errors import SettingsError
+from flockopt.scene import Scene
+
+if TYPE_CHECKING:
+    from flockopt.planfile import Plan
+
+__all__ = ["SUFFIXES", "show"]
+
+SUFFIXES = (".png", ".html")
+
+
+def show(scene: Scene, path: str | Path, plan: Plan | None = None) -> None:
+    """Draw a scene, or a plan in its scene, into a file written whole or not at all.
+
+    Args:
+        scene: What to draw.
+        path: ``.png`` for a picture: top view, altitude, least separation and clearance over time. ``.html`` for
+            one self-contained page that plays the flight in 3-D, with no network and no server.
+        plan: Draws routes and motion too. Least distances are sampled for the picture; the proof is the plan's
+            certificate.
+
+    Raises:
+        SettingsError: If the suffix is another one, or the file cannot be written.
+        MissingExtra: If a picture is asked for and matplotlib is not installed.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        rule = f"must end in {' or '.join(SUFFIXES)}"
+        raise SettingsError("path", f"is {str(path)!r}", rule, "choose one of the two")
+    reading.check_output(SettingsError, path)
+    content: str | bytes
+    if suffix == ".png":
+        from flockopt.show.picture import picture  # late: neither drawing needs the other's code
+
+        content = picture(scene, plan)
+    else:
+        from flockopt.show.page import page
+
+        content = page(scene, plan)
+    reading.write_whole(SettingsError, path, content)
