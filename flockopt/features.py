@@ -1,0 +1,291 @@
+"""Where shortest paths bend: points on the edges of obstacles grown by what a drone needs.
+
+A shortest path among convex obstacles is straight except where it wraps an edge. Every box and cylinder is
+enclosed in a prism whose footprint has `NUM_SIDES` sides tangent to the grown footprint; its vertical, top and
+bottom edges are sampled where they are free of every other obstacle. A sphere gets a net of single points.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from flockopt.geometry import BOX, SPHERE, FloatArray, bounding_boxes
+from flockopt.kernels import point_distance, point_gradient
+
+__all__ = ["Features", "Space", "make_features", "make_space"]
+
+#: Sides of the polygon around a grown footprint: a multiple of four, so that a box keeps its faces.
+NUM_SIDES = 8
+#: Most samples on the inner part of one free stretch of an edge.
+MOST_SAMPLES = 3
+#: A stretch of edge gets one more sample for each of these fractions of the space's longest side.
+SPACING_SHARE = 1.0 / 12.0
+#: Shorter free stretches are too narrow to be worth a sample, metres.
+LEAST_STRETCH_M = 1e-6
+#: How far, as the product of two sines, an edge may be from tangent at a feature and still be of use.
+EDGE_SLACK, SPHERE_SLACK = 1e-6, 0.25
+
+
+class Space(NamedTuple):
+    """What a segment is checked against."""
+
+    table: FloatArray  # (K, 9) obstacle rows
+    grown: FloatArray  # (K, 2, 3) m, bounding boxes grown by needs
+    needs: FloatArray  # (K,) m, least distance of a drone's centre
+    lower: FloatArray  # (3,) m
+    upper: FloatArray  # (3,) m
+
+
+class Features(NamedTuple):
+    """Points where a path may bend, with the two faces that meet there."""
+
+    position: FloatArray  # (F, 3) m
+    first: FloatArray  # (F, 3) outward normal of one face
+    second: FloatArray  # (F, 3) outward normal of the other face
+    along: FloatArray  # (F, 3) unit direction of the edge; zero on a sphere
+    slack: FloatArray  # (F,) see EDGE_SLACK
+
+
+def make_space(table: FloatArray, needs: FloatArray, lower: FloatArray, upper: FloatArray) -> Space:
+    """Obstacles, needs and bounds with the bounding boxes that cull checks."""
+    needs = np.ascontiguousarray(needs, dtype=np.float64)
+    grown = bounding_boxes(table) + needs[:, None, None] * np.array([-1.0, 1.0])[None, :, None]
+    return Space(np.array(table), grown, needs, np.array(lower, dtype=np.float64), np.array(upper, dtype=np.float64))
+
+
+def make_features(space: Space) -> Features:
+    """All features of a space, in the order of its obstacles."""
+    spacing = SPACING_SHARE * float((space.upper - space.lower).max())
+    rows = _sample(space, _edges(space.table, space.needs), spacing)
+    return Features(
+        *(np.ascontiguousarray(rows[:, 3 * part : 3 * part + 3]) for part in range(4)), np.ascontiguousarray(rows[:, 12])
+    )
+
+
+@njit(cache=True)
+def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: FloatArray) -> None:
+    """Fill the outward normals (S, 2) and the corners (S, 2) of the polygon; corner i joins sides i and i + 1."""
+    sides = normals.shape[0]
+    support = np.empty(sides)
+    for side in range(sides):
+        angle = 2.0 * math.pi * side / sides
+        u, v = math.cos(angle), math.sin(angle)
+        reach = row[4] * abs(u) + row[5] * abs(v) if row[0] == BOX else row[4]
+        support[side] = reach + need
+        normals[side, 0], normals[side, 1] = row[7] * u - row[8] * v, row[8] * u + row[7] * v
+    for side in range(sides):
+        after = (side + 1) % sides
+        a, b, c, d = normals[side, 0], normals[side, 1], normals[after, 0], normals[after, 1]
+        cross = a * d - b * c
+        corners[side, 0] = row[1] + (support[side] * d - support[after] * b) / cross
+        corners[side, 1] = row[2] + (support[after] * a - support[side] * c) / cross
+
+
+@njit(cache=True)
+def _edges(table: FloatArray, needs: FloatArray) -> FloatArray:
+    """Edges of the enclosing prisms, (E, 14): both ends, both normals, owner, and whether the ends are features."""
+    edges = np.empty((table.shape[0] * 3 * NUM_SIDES, 14))
+    normals, corners = np.empty((NUM_SIDES, 2)), np.empty((NUM_SIDES, 2))
+    count = 0
+    for k in range(table.shape[0]):
+        row = table[k]
+        if row[0] == SPHERE:
+            continue
+        _footprint(row, needs[k], normals, corners)
+        bottom, top = row[3] - row[6] - needs[k], row[3] + row[6] + needs[k]
+        for side in range(NUM_SIDES):
+            after = (side + 1) % NUM_SIDES
+            edge = edges[count]
+            edge[0:2], edge[2] = corners[side], bottom
+            edge[3:5], edge[5] = corners[side], top
+            edge[6:8], edge[8] = normals[side], 0.0
+            edge[9:11], edge[11] = normals[after], 0.0
+            edge[12], edge[13] = k, 1.0
+            count += 1
+            # the short sides that round a box's corners are covered by the ends of the vertical edges
+            if row[0] == BOX and side % (NUM_SIDES // 4) != 0:
+                continue
+            before = (side - 1) % NUM_SIDES
+            for level, up in ((bottom, -1.0), (top, 1.0)):
+                edge = edges[count]
+                edge[0:2], edge[2] = corners[before], level
+                edge[3:5], edge[5] = corners[side], level
+                edge[6:8], edge[8] = normals[side], 0.0
+                edge[9:11], edge[11] = 0.0, up
+                edge[12], edge[13] = k, 0.0
+                count += 1
+    return edges[:count]
+
+
+@njit(cache=True)
+def _blocked_stretch(row: FloatArray, need: float, p: FloatArray, q: FloatArray) -> tuple[float, float]:
+    """The fractions of p-q between which it is nearer than ``need`` to the obstacle; (1, 0) if nowhere."""
+    d0, d1, d2 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    low, high = 0.0, 1.0
+    inside = -1.0
+    if point_distance(row, p[0], p[1], p[2]) < need:
+        inside = 0.0
+    elif point_distance(row, q[0], q[1], q[2]) < need:
+        inside = 1.0
+    else:
+        # the distance is convex along the edge: bisect on its slope until a point too near is found
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            x, y, z = p[0] + middle * d0, p[1] + middle * d1, p[2] + middle * d2
+            if point_distance(row, x, y, z) < need:
+                inside = middle
+                break
+            g = point_gradient(row, x, y, z)
+            if g[0] * d0 + g[1] * d1 + g[2] * d2 > 0.0:
+                high = middle
+            else:
+                low = middle
+        if inside < 0.0:
+            return 1.0, 0.0
+    enter, leave = 0.0, 1.0
+    for end in range(2):
+        near, far = inside, float(end)
+        x, y, z = p[0] + far * d0, p[1] + far * d1, p[2] + far * d2
+        if point_distance(row, x, y, z) < need:
+            continue
+        for _ in range(40):
+            middle = 0.5 * (near + far)
+            if point_distance(row, p[0] + middle * d0, p[1] + middle * d1, p[2] + middle * d2) < need:
+                near = middle
+            else:
+                far = middle
+        if end == 0:
+            enter = far
+        else:
+            leave = far
+    return enter, leave
+
+
+@njit(cache=True)
+def _near(grown: FloatArray, p: FloatArray, q: FloatArray) -> bool:
+    for axis in range(3):
+        if max(p[axis], q[axis]) < grown[0, axis] or min(p[axis], q[axis]) > grown[1, axis]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float, float]:
+    """The fractions of an edge between which it is within bounds; (1, 0) if nowhere."""
+    enter, leave = 0.0, 1.0
+    for axis in range(3):
+        a, step = edge[axis], edge[3 + axis] - edge[axis]
+        if abs(step) < LEAST_STRETCH_M:
+            if a < lower[axis] or a > upper[axis]:
+                return 1.0, 0.0
+            continue
+        first, second = (lower[axis] - a) / step, (upper[axis] - a) / step
+        enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+    return enter, leave
+
+
+@njit(cache=True)
+def _sphere_net(row: FloatArray, need: float, net: FloatArray) -> int:
+    """Fill ``net`` (26, 3) with outward directions; return the distance-scaled count of points."""
+    count = 0
+    for tilt in (-0.25 * math.pi, 0.0, 0.25 * math.pi):
+        for step in range(8):
+            turn = 0.25 * math.pi * step
+            net[count, 0] = math.cos(tilt) * math.cos(turn)
+            net[count, 1] = math.cos(tilt) * math.sin(turn)
+            net[count, 2] = math.sin(tilt)
+            count += 1
+    net[count] = 0.0
+    net[count, 2] = 1.0
+    net[count + 1] = 0.0
+    net[count + 1, 2] = -1.0
+    return count + 2
+
+
+@njit(cache=True)
+def _append(rows: FloatArray, count: int) -> FloatArray:
+    """Room for one more row."""
+    if count < rows.shape[0]:
+        return rows
+    wider = np.empty((2 * rows.shape[0], rows.shape[1]))
+    wider[:count] = rows
+    return wider
+
+
+@njit(cache=True)
+def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
+    """Features on the free stretches of the edges and around spheres, (F, 13): see `Features` for the columns."""
+    table, grown, needs, lower, upper = space
+    num_obstacles = table.shape[0]
+    rows = np.empty((4 * edges.shape[0] + 32, 13))
+    count = 0
+    blocked = np.empty((num_obstacles + 1, 2))
+    for index in range(edges.shape[0]):
+        edge = edges[index]
+        first, last = _clip(edge, lower, upper)
+        if first > last:
+            continue
+        p, q = edge[0:3], edge[3:6]
+        length = math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
+        num_blocked = 0
+        for k in range(num_obstacles):
+            if k != int(edge[12]) and _near(grown[k], p, q):
+                enter, leave = _blocked_stretch(table[k], needs[k], p, q)
+                if enter <= leave:
+                    place = num_blocked
+                    while place > 0 and blocked[place - 1, 0] > enter:
+                        blocked[place] = blocked[place - 1]
+                        place -= 1
+                    blocked[place, 0], blocked[place, 1] = enter, leave
+                    num_blocked += 1
+        blocked[num_blocked] = 2.0
+        free = first
+        for stretch in range(num_blocked + 1):
+            stop = min(blocked[stretch, 0], last)
+            if (stop - free) * length > LEAST_STRETCH_M:
+                inner = min(max(math.ceil((stop - free) * length / spacing), 1), MOST_SAMPLES)
+                for sample in range(-1, inner + 1):
+                    share = free + (stop - free) * min(max((sample + 0.5) / inner, 0.0), 1.0)
+                    if sample < 0 and free == first and (first > 0.0 or edge[13] == 0.0):
+                        continue
+                    if sample == inner and stop == last and (last < 1.0 or edge[13] == 0.0):
+                        continue
+                    rows = _append(rows, count)
+                    for axis in range(3):
+                        rows[count, axis] = p[axis] + share * (q[axis] - p[axis])
+                        rows[count, 9 + axis] = (q[axis] - p[axis]) / length
+                    rows[count, 3:9] = edge[6:12]
+                    rows[count, 12] = EDGE_SLACK
+                    count += 1
+            free = max(free, blocked[stretch, 1])
+            if free >= last:
+                break
+    net = np.empty((26, 3))
+    for k in range(num_obstacles):
+        if table[k, 0] != SPHERE:
+            continue
+        reach = (table[k, 4] + needs[k]) / math.cos(math.pi / 8.0)
+        for sample in range(_sphere_net(table[k], needs[k], net)):
+            rows = _append(rows, count)
+            rows[count] = 0.0
+            usable = True
+            for axis in range(3):
+                rows[count, axis] = table[k, 1 + axis] + reach * net[sample, axis]
+                rows[count, 3 + axis] = rows[count, 6 + axis] = net[sample, axis]
+                usable = usable and lower[axis] <= rows[count, axis] <= upper[axis]
+            rows[count, 12] = SPHERE_SLACK
+            if usable and _free(space, rows[count]):
+                count += 1
+    return rows[:count]
+
+
+@njit(cache=True)
+def _free(space: Space, point: FloatArray) -> bool:
+    for k in range(space.table.shape[0]):
+        if point_distance(space.table[k], point[0], point[1], point[2]) < space.needs[k]:
+            return False
+    return True

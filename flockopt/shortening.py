@@ -1,0 +1,154 @@
+"""Compiled shortening of a clear polyline: bends slide, retract and vanish as far as the obstacles let them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from flockopt.features import Space
+from flockopt.geometry import FloatArray
+from flockopt.visibility import blocker, segment_length
+
+__all__ = ["polyline_length", "shorten"]
+
+#: Rounds over all bends, and halvings in one search for how far a bend may retract.
+NUM_ROUNDS, NUM_HALVINGS = 4, 10
+#: A round that gains less than this share of the length is the last.
+LEAST_GAIN = 1e-4
+
+
+@njit(cache=True)
+def polyline_length(path: FloatArray, count: int) -> float:
+    """Length of the first ``count`` vertices, metres."""
+    total = 0.0
+    for i in range(count - 1):
+        total += segment_length(path[i], path[i + 1])
+    return total
+
+
+@njit(cache=True)
+def nearby(space: Space, path: FloatArray, count: int) -> Space:
+    """The part of the space that the polyline's bounding box meets: shortening never leaves that box."""
+    keep = np.empty(space.table.shape[0], dtype=np.int64)
+    size = 0
+    for k in range(space.table.shape[0]):
+        meets = True
+        for axis in range(3):
+            low, high = path[:count, axis].min(), path[:count, axis].max()
+            if low > space.grown[k, 1, axis] or high < space.grown[k, 0, axis]:
+                meets = False
+                break
+        if meets:
+            keep[size] = k
+            size += 1
+    keep = keep[:size]
+    return Space(space.table[keep], space.grown[keep], space.needs[keep], space.lower, space.upper)
+
+
+@njit(cache=True)
+def _drop(path: FloatArray, along: FloatArray, count: int, i: int) -> None:
+    for j in range(i, count - 1):
+        path[j], along[j] = path[j + 1], along[j + 1]
+
+
+@njit(cache=True)
+def _skip(space: Space, path: FloatArray, along: FloatArray, count: int) -> int:
+    """Remove bends whose neighbours see each other; return the new count."""
+    i = 1
+    guess = -1
+    while i < count - 1:
+        guess = blocker(space, path[i - 1], path[i + 1], guess)
+        if guess < 0:
+            _drop(path, along, count, i)
+            count -= 1
+            i = max(i - 1, 1)
+        else:
+            i += 1
+    return count
+
+
+@njit(cache=True)
+def _slide(space: Space, path: FloatArray, along: FloatArray, i: int) -> None:
+    """Move bend i along its edge to where the path is shortest, or as far that way as is clear.
+
+    Unfolded about the edge, the neighbours' ends are on one plane, and the shortest path crosses the edge where
+    the straight line between them does.
+    """
+    a, v, b, edge = path[i - 1], path[i], path[i + 1], along[i]
+    s1, s2, r1, r2 = 0.0, 0.0, 0.0, 0.0
+    for axis in range(3):
+        s1 += (a[axis] - v[axis]) * edge[axis]
+        s2 += (b[axis] - v[axis]) * edge[axis]
+    for axis in range(3):
+        r1 += (a[axis] - v[axis] - s1 * edge[axis]) ** 2
+        r2 += (b[axis] - v[axis] - s2 * edge[axis]) ** 2
+    r1, r2 = math.sqrt(r1), math.sqrt(r2)
+    if r1 + r2 <= 0.0:
+        return
+    shift = s1 + (s2 - s1) * r1 / (r1 + r2)
+    moved = np.empty(3)
+    for _ in range(4):
+        inside = True
+        for axis in range(3):
+            moved[axis] = v[axis] + shift * edge[axis]
+            inside = inside and space.lower[axis] <= moved[axis] <= space.upper[axis]
+        gain = segment_length(a, v) + segment_length(v, b) - segment_length(a, moved) - segment_length(moved, b)
+        if gain <= 0.0:
+            return
+        if inside and blocker(space, a, moved, -1) < 0 and blocker(space, moved, b, -1) < 0:
+            path[i] = moved
+            return
+        shift *= 0.5
+
+
+@njit(cache=True)
+def _retract(space: Space, path: FloatArray, i: int, toward: int, away: int) -> None:
+    """Move bend i along its own segment to ``toward`` until the other segment touches an obstacle.
+
+    The one segment stays on its line, hence clear, and by the triangle inequality the path gets no longer.
+    """
+    v, goal = path[i].copy(), path[toward]
+    low, high = 0.0, 1.0
+    moved = np.empty(3)
+    guess = -1
+    for _ in range(NUM_HALVINGS):
+        middle = 0.5 * (low + high)
+        for axis in range(3):
+            moved[axis] = v[axis] + middle * (goal[axis] - v[axis])
+        found = blocker(space, moved, path[away], guess)
+        if found < 0:
+            low = middle
+            path[i] = moved
+        else:
+            high, guess = middle, found
+
+
+@njit(cache=True)
+def shorten(space: Space, path: FloatArray, along: FloatArray, count: int) -> int:
+    """Shorten a clear polyline in place; it stays clear and never gets longer.
+
+    Args:
+        space: Obstacles, needs and bounds.
+        path: (room, 3) m, the first ``count`` rows are the polyline.
+        along: (room, 3) for each vertex the unit direction of the edge it bends around, zero where none.
+        count: Number of vertices.
+
+    Returns:
+        The new number of vertices.
+    """
+    local = nearby(space, path, count)
+    count = _skip(local, path, along, count)
+    length = polyline_length(path, count)
+    for _ in range(NUM_ROUNDS):
+        for i in range(1, count - 1):
+            _slide(local, path, along, i)
+            _retract(local, path, i, i - 1, i + 1)
+            _retract(local, path, i, i + 1, i - 1)
+        count = _skip(local, path, along, count)
+        shorter = polyline_length(path, count)
+        if length - shorter <= LEAST_GAIN * length:
+            break
+        length = shorter
+    return count
