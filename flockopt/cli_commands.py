@@ -60,6 +60,9 @@ def show(options: argparse.Namespace) -> int:
     """Draw a scene, or a plan in its scene."""
     scene = _load_scene(options.scene)
     result = None if options.plan is None else _load_plan(options.plan)
+    if result is not None and result.scene_sha256 != scene.sha256:
+        seen, rule = f"is {result.scene_sha256}", f"must be {scene.sha256}, the digest of {options.scene}"
+        raise PlanError(f"{options.plan}: scene.sha256", seen, rule, "show the scene that the plan was made for")
     inputs = [path for path in (options.scene, options.plan) if path is not None]
     _check_outputs([("--output", options.output)], inputs)
     _check_drawable("--output", options.output)

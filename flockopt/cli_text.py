@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flockopt.certify import Certificate
+    from flockopt.certificate import Certificate, Clause
     from flockopt.planfile import Plan
     from flockopt.scene import Scene
 
 __all__ = ["certificate_report", "emit", "plan_report", "printable"]
-
-#: A cell that would be longer is cut, so that a row stays on a line.
-CELL_WIDTH = 60
 
 
 def emit(text: str) -> None:
@@ -34,7 +32,7 @@ def printable(text: str) -> str:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
     """Columns as wide as they need; those whose index is in ``right`` are set to the right."""
-    lines = [[_cell(text) for text in line] for line in (header, *rows)]
+    lines = [[printable(text) for text in line] for line in (header, *rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
     lines.insert(1, ["-" * width for width in widths])
     return "\n".join(
@@ -44,11 +42,6 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[
         ).rstrip()
         for line in lines
     )
-
-
-def _cell(text: str) -> str:
-    text = printable(text)
-    return text if len(text) <= CELL_WIDTH else text[: CELL_WIDTH - 3] + "..."
 
 
 def plan_report(scene: Scene, plan: Plan) -> str:
@@ -70,9 +63,9 @@ def _drone_table(scene: Scene, plan: Plan) -> str:
     for drone in scene.drones:
         flight = plan.flights.get(drone.id)
         metres, seconds = (flight.curve.length, flight.curve.end_time) if flight is not None else (0.0, 0.0)
-        tasks = " ".join(plan.routes.get(drone.id, ()))
-        rows.append((drone.id, tasks or "-", f"{metres:.2f}", f"{seconds:.2f}"))
-    return table(("drone", "tasks", "metres", "seconds"), rows, right=(2, 3))
+        route = plan.routes.get(drone.id, ())
+        rows.append((drone.id, str(len(route)), f"{metres:.2f}", f"{seconds:.2f}", " ".join(route)))
+    return table(("drone", "tasks", "metres", "seconds", "in this order"), rows, right=(1, 2, 3))
 
 
 def _cost_lines(plan: Plan) -> str:
@@ -92,7 +85,19 @@ def _cost_lines(plan: Plan) -> str:
 def certificate_report(certificate: Certificate) -> str:
     """One row per clause: does it hold, by how much, and where it is tightest."""
     rows = [
-        (clause.name, "holds" if clause.holds else "FAILS", f"{clause.margin:.6g}", clause.where)
+        (
+            clause.name,
+            "holds" if clause.holds else "FAILS",
+            _margin(clause),
+            "; ".join(filter(None, (clause.where, clause.detail))),
+        )
         for clause in certificate.clauses
     ]
     return table(("clause", "", "margin", "tightest"), rows, right=(2,))
+
+
+def _margin(clause: Clause) -> str:
+    """What is left before a clause fails: fractions in per cent; nothing to check has no margin."""
+    if not math.isfinite(clause.margin):
+        return "-"
+    return f"{clause.margin:.1%}" if clause.unit == "fraction" else f"{clause.margin:.4g} {clause.unit}"
