@@ -20,8 +20,8 @@ __all__ = ["generate"]
 #: Families whose number of obstacles can be chosen; in the others the layout decides it.
 COUNTED = ("forest", "city")
 
-#: How many batches of candidate points are thrown before giving up.
-MAX_BATCHES = 60
+#: How many batches of candidate points in a row may bring nothing before the rest is said not to fit.
+MAX_EMPTY_BATCHES = 3
 
 
 def generate(family: str, *, drones: int = 10, tasks: int = 20, seed: int = 0, **settings: Any) -> Scene:
@@ -41,7 +41,7 @@ def generate(family: str, *, drones: int = 10, tasks: int = 20, seed: int = 0, *
     Raises:
         SettingsError: On an unknown family or a bad setting, or when the size set holds no such scene.
     """
-    if family not in FAMILIES:
+    if not isinstance(family, str) or family not in FAMILIES:
         rule = f"must be one of {', '.join(FAMILIES)}"
         raise SettingsError("family", f"is {reading.shown(family)}", rule, "choose one of these")
     drones = reading.integer(SettingsError, "drones", drones, least=1)
@@ -98,15 +98,18 @@ def _scatter(
     """Points in a box, clear of obstacles and gates, spaced from each other and from ``others``; (count, 3) m."""
     points = np.concatenate([others, np.empty((count, 3))])
     num_points, full = len(others), len(points)
-    for _ in range(MAX_BATCHES):
-        batch = rng.uniform(box[0], box[1], (2 * count + 20, 3))
+    empty_batches = 0
+    while num_points < full and empty_batches < MAX_EMPTY_BATCHES:
+        before = num_points
+        batch = rng.uniform(box[0], box[1], (2 * count + 50, 3))
         # Millimetres keep scene files short; rounding comes before the checks, so that what is checked is kept.
         for point in _allowed(np.round(batch, 3), rules, layout):
             if num_points < full and _is_apart(points[:num_points], point, rules.spacing):
                 points[num_points] = point
                 num_points += 1
-        if num_points == full:
-            return points[len(others) :]
+        empty_batches = empty_batches + 1 if num_points == before else 0
+    if num_points == full:
+        return points[len(others) :]
     found = f"is {count}, of which only {num_points - len(others)} fit"
     rule = f"starts and tasks stay {rules.spacing:g} m apart and clear of obstacles"
     raise SettingsError(field, found, rule, "ask for fewer, enlarge size or leave it out")

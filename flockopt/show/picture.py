@@ -27,7 +27,7 @@ DPI = 144
 MAP_WIDEST_IN, MAP_TALLEST_IN, MAP_SMALLEST_IN = 9.0, 6.4, 3.4
 LEFT_IN, BOTTOM_IN, TOP_IN, RIGHT_IN, BETWEEN_IN, PANEL_WIDTH_IN, PANEL_GAP_IN = 0.6, 0.9, 0.85, 0.35, 0.85, 4.9, 0.42
 
-STYLE = {
+STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.edgecolor": "#aab2bd", "axes.linewidth": 0.8,
     "axes.labelcolor": MUTED, "xtick.color": MUTED, "ytick.color": MUTED, "text.color": INK, "hatch.linewidth": 0.7,
     "path.simplify": True, "savefig.facecolor": "white", "figure.facecolor": "white",

@@ -156,9 +156,9 @@ function drawFrame() {
 
   solid.use({ camera: view.matrix, model: IDENTITY, tint: [1, 1, 1, 1] });
   solid.draw(built.ground);
+  gl.depthMask(false);
   line.use({ ...lines, width: 1 * ratio });
   line.draw(built.grid);
-  gl.depthMask(false);
   line.use({ ...lines, width: 2.6 * ratio, chosen: state.chosen });
   line.draw(built.routes);
   gl.depthMask(true);

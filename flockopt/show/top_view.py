@@ -23,29 +23,34 @@ __all__ = ["draw_top_view"]
 #: Most drones and tasks that still get their names written.
 MOST_DRONE_LABELS, MOST_TASK_LABELS = 30, 60
 
-HANGING = {"facecolor": (1, 1, 1, 0.35), "hatch": "////", "edgecolor": "#8a94a3", "linewidth": 0.5}
+HANGING: dict[str, Any] = {"facecolor": (1, 1, 1, 0.35), "hatch": "////", "edgecolor": "#8a94a3", "linewidth": 0.5}
 
 LABEL_POINTS = 7.0
 #: Where a label may stand around its point, in order of preference: right first, then above, below, left.
 LABEL_ANGLES = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 
 
-def draw_top_view(axes: Axes, scene: Scene, plan: Plan | None, motion: Motion | None) -> None:
-    """Draw the scene from above, north up, true to scale; with a motion, its routes too."""
+def draw_top_view(axes: Axes, scene: Scene, plan: Plan | None, motion: Motion | None, *, labelled: bool = True) -> None:
+    """Draw the scene from above, north up, true to scale; with a motion, its routes too.
+
+    Without labels there are no names, no key and no axis titles.
+    """
     lower, upper = np.array(scene.bounds.lower), np.array(scene.bounds.upper)
     rim = 0.012 * float(max(upper[:2] - lower[:2]))
     axes.set_xlim(lower[0] - rim, upper[0] + rim)
     axes.set_ylim(lower[1] - rim, upper[1] + rim)
     axes.set_aspect("equal", adjustable="box")
     axes.tick_params(length=3, labelsize=8)
-    axes.set_xlabel("x, m", labelpad=1)
-    axes.set_ylabel("y, m", labelpad=1)
     _draw_obstacles(axes, scene)
     if motion is not None:
         _draw_routes(axes, motion)
     server = _servers(scene, plan)
     _draw_points(axes, scene, plan, server)
-    _draw_labels(axes, scene, motion, server)
+    if labelled:
+        axes.set_xlabel("x, m", labelpad=1)
+        axes.set_ylabel("y, m", labelpad=1)
+        _draw_key(axes, scene, has_unserved=plan is not None and len(server) < scene.num_tasks)
+        _draw_labels(axes, scene, motion, server)
 
 
 def _servers(scene: Scene, plan: Plan | None) -> dict[str, int]:
@@ -116,10 +121,9 @@ def _draw_points(axes: Axes, scene: Scene, plan: Plan | None, server: dict[str, 
     size = float(np.interp(scene.num_drones, [20, 200], [7.5, 4.0]))
     for index, (x, y, _) in enumerate(scene.starts):
         axes.plot(x, y, "^", color=drone_color(index), markersize=size, markeredgecolor="white", markeredgewidth=0.9, zorder=6)
-    _draw_key(axes, any(task.id not in server for task in scene.tasks) if plan is not None else False, scene)
 
 
-def _draw_key(axes: Axes, has_unserved: bool, scene: Scene) -> None:
+def _draw_key(axes: Axes, scene: Scene, *, has_unserved: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -168,7 +172,7 @@ def _draw_labels(axes: Axes, scene: Scene, motion: Motion | None, server: dict[s
         x, y = axes.transData.inverted().transform(center * per_point)
         weight = "bold" if is_drone else "normal"
         halo = [withStroke(linewidth=1.8, foreground="white")]
-        look = {"fontsize": LABEL_POINTS, "color": color, "fontweight": weight, "path_effects": halo}
+        look: dict[str, Any] = {"fontsize": LABEL_POINTS, "color": color, "fontweight": weight, "path_effects": halo}
         axes.text(x, y, name, ha="center", va="center_baseline", zorder=7, **look)
 
 

@@ -138,7 +138,9 @@ const LINE = [`#version 300 es
   out vec4 pixel;
   void main() {
     float edge = clamp(0.5 * width + 0.5 - abs(across), 0.0, 1.0);
-    pixel = vec4(c, edge * opacity * (when <= now ? 1.0 : 0.45) * (mine > 0.5 ? 1.0 : 0.12));
+    // Paler by colour, not by opacity: the ends of neighbouring pieces overlap.
+    vec3 ink = mix(vec3(0.95, 0.955, 0.965), c, when <= now ? 1.0 : 0.5);
+    pixel = vec4(ink, edge * opacity * (mine > 0.5 ? 1.0 : 0.12));
   }`];
 
 const POINT = [`#version 300 es
