@@ -53,8 +53,9 @@ def plan_report(scene: Scene, plan: Plan) -> str:
         parts.append(_cost_lines(plan))
     if plan.certificate is not None:
         parts.append(certificate_report(plan.certificate))
-    verdict = f"{plan.status}: {plan.reason}" if plan.reason else plan.status
-    parts.append(printable(f"{scene.name}: {verdict}, planned in {plan.timing.get('total', 0.0):.2f} s by {plan.planner}"))
+    if plan.status == "infeasible":
+        parts.append(printable(f"infeasible: {plan.reason}"))
+    parts.append(printable(f"{scene.name}, planned in {plan.timing.get('total', 0.0):.2f} s by {plan.planner}"))
     return "\n\n".join(parts)
 
 
@@ -83,17 +84,18 @@ def _cost_lines(plan: Plan) -> str:
 
 
 def certificate_report(certificate: Certificate) -> str:
-    """One row per clause: does it hold, by how much, and where it is tightest."""
-    rows = [
-        (
-            clause.name,
-            "holds" if clause.holds else "FAILS",
-            _margin(clause),
-            "; ".join(filter(None, (clause.where, clause.detail))),
-        )
-        for clause in certificate.clauses
-    ]
-    return table(("clause", "", "margin", "tightest"), rows, right=(2,))
+    """One row per clause: does it hold, by how much, and where it is tightest; then the verdict."""
+    rows = []
+    for clause in certificate.clauses:
+        tightest = "; ".join(words for words in (clause.where, clause.detail) if words)
+        rows.append((clause.name, "holds" if clause.holds else "FAILS", _margin(clause), tightest))
+    return table(("clause", "", "margin", "tightest"), rows, right=(2,)) + "\n\n" + _verdict(certificate)
+
+
+def _verdict(certificate: Certificate) -> str:
+    if certificate.certified:
+        return "certified: every clause holds"
+    return f"not certified: {', '.join(clause.name for clause in certificate.failed)} failed"
 
 
 def _margin(clause: Clause) -> str:
