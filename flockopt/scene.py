@@ -144,7 +144,8 @@ class Box:
             yaw=reading.number(SceneError, "yaw", self.yaw),
         )
         for axis in range(3):
-            reading.number(SceneError, f"size[{axis}]", self.size[axis], above=0.0, mend="remove the obstacle or give it a size")
+            mend = "remove the obstacle or give it a size"
+            reading.number(SceneError, f"size[{axis}]", self.size[axis], above=0.0, mend=mend)
 
     def row(self) -> tuple[float, ...]:
         """Its row in an obstacle table (`flockopt.geometry.OBSTACLE_COLUMNS`)."""
@@ -227,8 +228,9 @@ class Scene:
             raise SceneError("drones", "is empty", "a fleet has at least one drone", "add a drone")
         for field in ("drones", "tasks", "obstacles"):
             reading.unique(SceneError, field, [record.id for record in getattr(self, field)])
-        self._check_places()
-        self._check_starts_apart()
+        with np.errstate(over="ignore", invalid="ignore"):  # what is 1e300 m away is far, and no reason for a warning
+            self._check_places()
+            self._check_starts_apart()
 
     # -- arrays, made once and read-only --------------------------------------------------------------------
 
@@ -350,7 +352,8 @@ class Scene:
         for (field, place, radius), gap in zip(places, gaps, strict=True):
             for axis, (low, value, high) in enumerate(zip(self.bounds.lower, place, self.bounds.upper, strict=True)):
                 if not low <= value <= high:
-                    raise SceneError(f"{field}[{axis}]", f"is {value:g}", f"must be within bounds [{low:g}, {high:g}]", "move it")
+                    rule = f"must be within bounds [{low:g}, {high:g}]"
+                    raise SceneError(f"{field}[{axis}]", f"is {value:g}", rule, "move it")
             need = radius + self.clearance
             if gap.size and gap.min() < need - POSITION_TOLERANCE_M:
                 culprit = self.obstacles[int(gap.argmin())].id
