@@ -30,6 +30,9 @@ SMALL_COORDINATE, SMALL_SQUARE = 1.0, 1e-6
 DEEPEST = 44
 NARROWEST = 0.5**DEEPEST
 
+#: A search that has looked at this many intervals is lost in rounding errors; it ends with the bounds it has.
+MOST_INTERVALS = 200_000
+
 # Read-only views of contiguous arrays: writable ones convert to them, so that every function is compiled once.
 ARRAY_1 = types.Array(types.float64, 1, "C", readonly=True)
 ARRAY_2 = types.Array(types.float64, 2, "C", readonly=True)
@@ -124,16 +127,17 @@ def largest_value(control: FloatArray, known: float, small: float) -> tuple[floa
     right = np.empty((1, num_terms))
     stack[0, 0] = control
     spans[0, 0], spans[0, 1] = 0.0, 1.0
-    top = 1
+    top, looked = 1, 0
     while top > 0:
         top -= 1
+        looked += 1
         node, start, width = stack[top, 0], spans[top, 0], spans[top, 1]
         if node[0] > best:
             best, where = node[0], start
         if node[num_terms - 1] > best:
             best, where = node[num_terms - 1], start + width
         bound = node.max()
-        if bound <= best + EXTREME_TOLERANCE * max(abs(best), small) or width < NARROWEST:
+        if bound <= best + EXTREME_TOLERANCE * max(abs(best), small) or width < NARROWEST or looked > MOST_INTERVALS:
             proven = max(proven, bound)
             continue
         halve(stack[top], stack[top], right)

@@ -7,10 +7,22 @@ branch and bound over time (`flockopt.intervals`); boxes around control points k
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit, types
 
-from flockopt.bernstein import ARRAY_1, ARRAY_2, ARRAY_3, BINOMIAL, VALUE_AND_TIME, control_points
+from flockopt.bernstein import (
+    ARRAY_1,
+    ARRAY_2,
+    ARRAY_3,
+    BINOMIAL,
+    SMALL_SQUARE,
+    VALUE_AND_TIME,
+    control_points,
+    largest_value,
+    squared_norm,
+)
 from flockopt.geometry import FloatArray
 from flockopt.intervals import (
     box_gap,
@@ -23,7 +35,9 @@ from flockopt.intervals import (
 )
 from flockopt.kernels import point_distance
 
-__all__ = ["curve_clear", "first_conflict", "least_clearance", "least_separation", "parked", "separated"]
+__all__ = [
+    "curve_clear", "farthest_from", "first_conflict", "least_clearance", "least_separation", "parked", "separated",
+]  # fmt: skip
 
 #: Yes-or-no checks prove that a curve comes at most this much too near, and name only places that are at least
 #: half of it too near: between the two either answer is right, so that a curve which grazes is decided at once.
@@ -181,6 +195,30 @@ def _part(times: FloatArray, control: FloatArray, k: int, start: float, end: flo
         _restrict(control[k], first, max(last, 1e-300), result)
 
 
+@njit(VALUE_AND_TIME(ARRAY_1, ARRAY_3, ARRAY_1, types.float64, types.float64), cache=True)
+def farthest_from(
+    breakpoints: FloatArray, coefficients: FloatArray, point: FloatArray, start: float, end: float
+) -> tuple[float, float]:
+    """How far a curve gets from a point (3,) m between two times: metres, tight to 1e-9, and the time in seconds."""
+    num_terms = coefficients.shape[2]
+    times, control = _timed(breakpoints, coefficients, 0.0, 1.0, np.ones(3), num_terms)
+    part = np.empty((3, num_terms))
+    best, time, k, now = -1.0, start, 0, start
+    while True:
+        while times[k + 1] <= now:
+            k += 1
+        until = min(end, times[k + 1])
+        _part(times, control, k, now, until, part)
+        for axis in range(3):
+            part[axis] -= point[axis]
+        square, where = largest_value(squared_norm(part), best, SMALL_SQUARE)
+        if where >= 0.0:
+            best, time = square, now + where * (until - now)
+        if until >= end:
+            return math.sqrt(max(best, 0.0)), time
+        now = until
+
+
 @njit(cache=True)
 def _place(times: FloatArray, control: FloatArray, k: int, time: float, point: FloatArray) -> None:
     """Fill ``point`` (3, 1) with where piece ``k`` of a timed curve is at a time."""
@@ -220,10 +258,15 @@ def _nearest_breakpoints(
         now = min(end, times_a[i + 1], times_b[j + 1])
 
 
-@njit(VALUE_AND_TIME(ARRAY_1, ARRAY_3, ARRAY_1, ARRAY_3, ARRAY_1, types.float64, types.float64, types.float64), cache=True)
+@njit(
+    VALUE_AND_TIME(
+        ARRAY_1, ARRAY_3, ARRAY_1, ARRAY_3, ARRAY_1, types.float64, types.float64, types.float64, types.float64
+    ),
+    cache=True,
+)  # fmt: skip
 def least_separation(
     bp_a: FloatArray, co_a: FloatArray, bp_b: FloatArray, co_b: FloatArray, axes: FloatArray,
-    start: float, end: float, tolerance: float,
+    start: float, end: float, tolerance: float, known: float,
 ) -> tuple[float, float]:  # fmt: skip
     """By how much two drones keep apart at their worst between two times.
 
@@ -236,9 +279,11 @@ def least_separation(
         start: Seconds.
         end: Seconds, >= start.
         tolerance: Metres the answer may lie below the true margin; it never lies above.
+        known: Metres; margins above it need not be found, which saves time. Infinite to find any.
 
     Returns:
-        (|(dx, dy, dz) / axes| - 1) * axes[0] at its least, in metres, and its time in seconds.
+        (|(dx, dy, dz) / axes| - 1) * axes[0] at its least, in metres, and its time in seconds; (about ``known``, -1) if
+        it is not below that.
     """
     num_terms = max(co_a.shape[2], co_b.shape[2])
     times_a, control_a = _timed(bp_a, co_a, 0.0, 1.0, axes, num_terms)
@@ -247,6 +292,8 @@ def least_separation(
     stack, spans = new_stack(num_terms)
     other = np.empty((3, num_terms))
     best, time = _nearest_breakpoints(times_a, control_a, times_b, control_b, start, end)
+    if best > known / axes[0] + 1.0:
+        best, time = known / axes[0] + 1.0, -1.0
     proven = best
     i, j, now = 0, 0, start
     while True:

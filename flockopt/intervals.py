@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from flockopt.bernstein import DEEPEST, NARROWEST, halve
+from flockopt.bernstein import DEEPEST, MOST_INTERVALS, NARROWEST, halve
 from flockopt.geometry import FloatArray
 from flockopt.kernels import point_distance, point_gradient
 
@@ -121,9 +121,10 @@ def least_clearance_below(
     where, proven = -1.0, np.inf
     stack[0] = piece
     spans[0, 0], spans[0, 1] = 0.0, 1.0
-    top = 1
+    top, looked = 1, 0
     while top > 0:
         top -= 1
+        looked += 1
         node = stack[top]
         px, py, pz = node[0, 0], node[1, 0], node[2, 0]
         qx, qy, qz = node[0, last], node[1, last], node[2, last]
@@ -142,7 +143,7 @@ def least_clearance_below(
         if slope_p < 0.0 < slope_q:  # where the tangents meet
             bound = f_p + slope_p * (f_q - slope_q - f_p) / (slope_p - slope_q)
         bound -= deviation(node)
-        if bound >= best - tolerance or spans[top, 1] < NARROWEST:
+        if bound >= best - tolerance or spans[top, 1] < NARROWEST or looked > MOST_INTERVALS:
             proven = min(proven, bound)
         else:
             split(stack, spans, top)
@@ -156,16 +157,17 @@ def least_norm_below(best: float, tolerance: float, stack: FloatArray, spans: Fl
     last = stack.shape[2] - 1
     where, proven = -1.0, np.inf
     spans[0, 0], spans[0, 1] = 0.0, 1.0
-    top = 1
+    top, looked = 1, 0
     while top > 0:
         top -= 1
+        looked += 1
         first, final = end_norm(stack[top], 0), end_norm(stack[top], last)
         if first < best:
             best, where = first, spans[top, 0]
         if final < best:
             best, where = final, spans[top, 0] + spans[top, 1]
         bound = chord_bound(stack[top])
-        if bound >= best - tolerance or spans[top, 1] < NARROWEST:
+        if bound >= best - tolerance or spans[top, 1] < NARROWEST or looked > MOST_INTERVALS:
             proven = min(proven, bound)
         else:
             split(stack, spans, top)
@@ -178,13 +180,14 @@ def first_inside(duration: float, graze: float, stack: FloatArray, spans: FloatA
     """Where in [0, 1] the curve at ``stack[0]`` first comes within 1 of the origin; -1 if it stays out."""
     last = stack.shape[2] - 1
     spans[0, 0], spans[0, 1] = 0.0, 1.0
-    top = 1
+    top, looked = 1, 0
     while top > 0:
         top -= 1
+        looked += 1
         start, width = spans[top, 0], spans[top, 1]
         if chord_bound(stack[top]) >= 1.0 - graze:
             continue
-        if end_norm(stack[top], 0) < 1.0 - 0.5 * graze:
+        if end_norm(stack[top], 0) < 1.0 - 0.5 * graze or looked > MOST_INTERVALS:
             return start
         if width * duration < FIRST_TIME_S and end_norm(stack[top], last) < 1.0 - 0.5 * graze:
             return start + width
