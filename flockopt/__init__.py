@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from flockopt.certify import certify
     from flockopt.curve import Curve, Flight, Visit
     from flockopt.errors import FlockError, MissingExtra, PlanError, SceneError, SettingsError, SolverFailed
-    from flockopt.families import generate
+    from flockopt.families.generate import generate
     from flockopt.plan import plan
     from flockopt.planfile import Plan
     from flockopt.scene import Bounds, Box, Cylinder, Drone, Scene, Sphere, Task
@@ -42,7 +42,7 @@ _HOMES = {
     "flockopt.certify": ("certify",),
     "flockopt.curve": ("Curve", "Flight", "Visit"),
     "flockopt.errors": ("FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed"),
-    "flockopt.families": ("generate",),
+    "flockopt.families.generate": ("generate",),
     "flockopt.plan": ("plan",),
     "flockopt.planfile": ("Plan",),
     "flockopt.scene": ("Bounds", "Box", "Cylinder", "Drone", "Scene", "Sphere", "Task"),
