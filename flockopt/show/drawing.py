@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flockopt import reading
-from flockopt.errors import SettingsError
+from flockopt.errors import PlanError, SettingsError
 from flockopt.scene import Scene
 
 if TYPE_CHECKING:
@@ -29,12 +29,16 @@ def show(scene: Scene, path: str | Path, plan: Plan | None = None) -> None:
 
     Raises:
         SettingsError: If the suffix is another one, or the file cannot be written.
+        PlanError: If the plan is for another scene.
         MissingExtra: If a picture is asked for and matplotlib is not installed.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         rule = f"must end in {' or '.join(SUFFIXES)}"
         raise SettingsError("path", f"is {str(path)!r}", rule, "choose one of the two")
+    if plan is not None and plan.scene_sha256 != scene.sha256:
+        seen, rule = f"is {plan.scene_sha256}", f"must be {scene.sha256}, the digest of scene {reading.shown(scene.name)}"
+        raise PlanError("scene.sha256", seen, rule, "draw the scene that the plan was made for")
     reading.check_output(SettingsError, path)
     content: str | bytes
     if suffix == ".png":

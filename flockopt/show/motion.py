@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from flockopt.curve import Flight
 from flockopt.geometry import FloatArray, distances
 from flockopt.scene import Scene
 
 if TYPE_CHECKING:
     from flockopt.planfile import Plan
 
-__all__ = ["Motion", "sample_motion"]
+__all__ = ["Motion", "flights_of", "sample_motion"]
 
 #: How many instants a drawing shows, and how many drone-obstacle and drone-drone distances it may take.
 MOST_INSTANTS, LEAST_INSTANTS, DISTANCE_BUDGET = 600, 120, 20_000_000
@@ -40,16 +41,24 @@ class Motion:
     clearance: FloatArray  # (T,) m
 
 
-def sample_motion(scene: Scene, plan: Plan) -> Motion:
-    """The motion of all drones, those that never move included."""
-    makespan = max((flight.curve.end_time for flight in plan.flights.values()), default=0.0)
+def flights_of(scene: Scene, plan: Plan | None) -> dict[int, Flight]:
+    """The plan's flights by drone index; a drone that the scene does not know is the judge's business."""
+    flights = {} if plan is None else plan.flights
+    return {index: flights[drone.id] for index, drone in enumerate(scene.drones) if drone.id in flights}
+
+
+def sample_motion(scene: Scene, plan: Plan | None) -> Motion | None:
+    """The motion of all drones, those that never move included; None where nobody moves."""
+    flights = flights_of(scene, plan)
+    if not flights:
+        return None
+    makespan = max(flight.curve.end_time for flight in flights.values())
     num_distances = scene.num_drones * max(1, len(scene.obstacles), scene.num_drones)
     num_instants = int(np.clip(DISTANCE_BUDGET // num_distances, LEAST_INSTANTS, MOST_INSTANTS))
-    times = np.linspace(0.0, 1.02 * makespan or 1.0, num_instants)
+    times = np.linspace(0.0, 1.02 * makespan, num_instants)
     positions = np.repeat(scene.starts[:, None], num_instants, axis=1)  # (N, T, 3)
-    for index, drone in enumerate(scene.drones):
-        if drone.id in plan.flights:
-            positions[index] = plan.flights[drone.id].curve(times)
+    for index, flight in flights.items():
+        positions[index] = flight.curve(times)
     return Motion(times, positions, _least_separation(scene, positions), _least_clearance(scene, positions))
 
 

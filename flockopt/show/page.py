@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from flockopt.curve import Flight
 from flockopt.geometry import FloatArray
 from flockopt.scene import Drone, Scene
-from flockopt.show.motion import Motion, sample_motion
-from flockopt.show.style import INK, MUTED, drone_color, extent_z, headline
+from flockopt.show.motion import Motion, flights_of, sample_motion
+from flockopt.show.style import INK, MUTED, drone_color, extent_z, headline, servers
 
 if TYPE_CHECKING:
     from flockopt.planfile import Plan
 
 __all__ = ["page"]
+
+#: Which file goes where in the template.
+CODE = {"__VIEW__": "view.js", "__PLAYER__": "player.js"}
 
 
 def page(scene: Scene, plan: Plan | None = None) -> str:
@@ -24,38 +28,33 @@ def page(scene: Scene, plan: Plan | None = None) -> str:
     parts = files("flockopt.show")
     text = (parts / "page.html").read_text(encoding="utf-8")
     flight = json.dumps(_flight(scene, plan), separators=(",", ":"), allow_nan=False)
-    # Ids come from strangers' files: no "<" may end the script element that the data stands in.
-    pieces = {"__FLIGHT__": flight.replace("<", "\\u003c")}
-    pieces |= {mark: (parts / name).read_text(encoding="utf-8") for mark, name in CODE.items()}
+    pieces = {mark: (parts / name).read_text(encoding="utf-8") for mark, name in CODE.items()}
+    # Names come from strangers' files: a "<" must not end the script element that the data stands in, and since the
+    # data goes in last, what looks like a mark in it stays as it is.
+    pieces["__FLIGHT__"] = flight.replace("<", "\\u003c")
     for mark, content in pieces.items():
         head, tail = text.split(mark, 1)
         text = head + content + tail
     return text
 
 
-#: Which file goes where in the template.
-CODE = {"__VIEW__": "view.js", "__PLAYER__": "player.js"}
-
-
 def _flight(scene: Scene, plan: Plan | None) -> dict[str, Any]:
-    motion = sample_motion(scene, plan) if plan is not None and plan.flights else None
-    makespan = max((flight.curve.end_time for flight in plan.flights.values()), default=0.0) if plan is not None else 0.0
+    motion, flights = sample_motion(scene, plan), flights_of(scene, plan)
     return {
         "name": scene.name,
         "facts": headline(scene, plan),
         "bounds": {"lower": scene.bounds.lower, "upper": scene.bounds.upper},
         "clearance": scene.clearance,
         "separation": scene.separation,
-        "makespan": makespan,
-        "drones": [_drone(index, drone, plan) for index, drone in enumerate(scene.drones)],
+        "makespan": max((flight.curve.end_time for flight in flights.values()), default=0.0),
+        "drones": [_drone(index, drone, plan, flights.get(index)) for index, drone in enumerate(scene.drones)],
         "tasks": _tasks(scene, plan),
         "obstacles": [_obstacle(record, scene, index) for index, record in enumerate(scene.to_dict()["obstacles"])],
         "series": None if motion is None else _series(motion),
     }
 
 
-def _drone(index: int, drone: Drone, plan: Plan | None) -> dict[str, Any]:
-    flight = None if plan is None else plan.flights.get(drone.id)
+def _drone(index: int, drone: Drone, plan: Plan | None, flight: Flight | None) -> dict[str, Any]:
     return {
         "id": drone.id,
         "start": drone.start,
@@ -76,10 +75,8 @@ def _short(values: FloatArray) -> Any:
 
 def _tasks(scene: Scene, plan: Plan | None) -> list[dict[str, Any]]:
     """Each task with its drone's colour and the time of its visit, if it has one."""
-    index_of = {drone.id: index for index, drone in enumerate(scene.drones)}
-    routes, flights = ({}, {}) if plan is None else (plan.routes, plan.flights)
-    colors = {task: drone_color(index_of[drone]) for drone, tasks in routes.items() for task in tasks}
-    times = {visit.task: visit.time for flight in flights.values() for visit in flight.visits}
+    colors = {task: drone_color(drone) for task, drone in servers(scene, plan).items()}
+    times = {visit.task: visit.time for flight in flights_of(scene, plan).values() for visit in flight.visits}
     without = INK if plan is None else MUTED
     return [
         {"id": task.id, "position": task.position, "color": colors.get(task.id, without), "time": times.get(task.id)}

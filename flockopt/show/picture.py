@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,10 +28,10 @@ DPI = 144
 MAP_WIDEST_IN, MAP_TALLEST_IN, MAP_SMALLEST_IN = 9.0, 6.4, 3.4
 LEFT_IN, BOTTOM_IN, TOP_IN, RIGHT_IN, BETWEEN_IN, PANEL_WIDTH_IN, PANEL_GAP_IN = 0.6, 0.9, 0.85, 0.35, 0.85, 4.9, 0.42
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.edgecolor": "#aab2bd", "axes.linewidth": 0.8,
     "axes.labelcolor": MUTED, "xtick.color": MUTED, "ytick.color": MUTED, "text.color": INK, "hatch.linewidth": 0.7,
-    "path.simplify": True, "savefig.facecolor": "white", "figure.facecolor": "white",
+    "text.parse_math": False, "savefig.facecolor": "white", "figure.facecolor": "white",
 }  # fmt: skip
 
 
@@ -46,8 +47,10 @@ def picture(scene: Scene, plan: Plan | None = None) -> bytes:
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtra("matplotlib", "show") from None
-    motion = sample_motion(scene, plan) if plan is not None and plan.flights else None
-    with matplotlib.rc_context():
+    motion = sample_motion(scene, plan)
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        # A name in a script that the font lacks is drawn as boxes, and that is all there is to say about it.
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
         matplotlib.rcdefaults()  # a user's own style would break the layout
         matplotlib.rcParams.update(STYLE)
         figure = Figure()
@@ -72,8 +75,9 @@ def _compose(figure: Figure, scene: Scene, plan: Plan | None, motion: Motion | N
 
     lift = (area_height - map_height) / 2
     draw_top_view(axes(LEFT_IN, BOTTOM_IN + lift, map_width, map_height), scene, plan, motion)
-    figure.text(LEFT_IN / width, 1 - 0.36 / height, scene.name, fontsize=15, fontweight="bold", va="center")
-    figure.text(LEFT_IN / width, 1 - 0.64 / height, "  ·  ".join(headline(scene, plan)), fontsize=10, color=MUTED, va="center")
+    left, facts = LEFT_IN / width, "  ·  ".join(headline(scene, plan))
+    figure.text(left, 1 - 0.36 / height, _fitting(scene.name, 6.5 * width), fontsize=15, fontweight="bold", va="center")
+    figure.text(left, 1 - 0.64 / height, _fitting(facts, 11 * width), fontsize=10, color=MUTED, va="center")
     if motion is None:
         return
     left = LEFT_IN + map_width + BETWEEN_IN
@@ -85,6 +89,12 @@ def _compose(figure: Figure, scene: Scene, plan: Plan | None, motion: Motion | N
     for panel in stack[:2]:
         panel.tick_params(labelbottom=False)
     stack[2].set_xlabel("time, s")
+
+
+def _fitting(words: str, num_letters: float) -> str:
+    """One line of at most that many letters."""
+    line, most = " ".join(words.split()), int(num_letters)
+    return line if len(line) <= most else f"{line[: most - 1]}…"
 
 
 def _map_size(scene: Scene) -> tuple[float, float]:

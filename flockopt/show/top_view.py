@@ -10,7 +10,7 @@ import numpy as np
 from flockopt.geometry import FloatArray
 from flockopt.scene import Box, Obstacle, Scene
 from flockopt.show.motion import Motion
-from flockopt.show.style import INK, MUTED, drone_color, drone_round, extent_z
+from flockopt.show.style import INK, MUTED, drone_color, drone_round, extent_z, servers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,21 +44,13 @@ def draw_top_view(axes: Axes, scene: Scene, plan: Plan | None, motion: Motion | 
     _draw_obstacles(axes, scene)
     if motion is not None:
         _draw_routes(axes, motion)
-    server = _servers(scene, plan)
+    server = servers(scene, plan)
     _draw_points(axes, scene, plan, server)
     if labelled:
         axes.set_xlabel("x, m", labelpad=1)
         axes.set_ylabel("y, m", labelpad=1)
         _draw_key(axes, scene, has_unserved=plan is not None and len(server) < scene.num_tasks)
         _draw_labels(axes, scene, motion, server)
-
-
-def _servers(scene: Scene, plan: Plan | None) -> dict[str, int]:
-    """Which drone's index serves a task id."""
-    if plan is None:
-        return {}
-    index_of = {drone.id: index for index, drone in enumerate(scene.drones)}
-    return {task: index_of[drone] for drone, tasks in plan.routes.items() for task in tasks}
 
 
 def _draw_obstacles(axes: Axes, scene: Scene) -> None:
