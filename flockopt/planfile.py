@@ -32,6 +32,10 @@ REQUIRED = (
 )  # fmt: skip
 
 
+#: Costs that are null where no bound is known.
+CLAIMS = ("lower_bound", "gap")
+
+
 @dataclass(frozen=True)
 class Cost:
     """What a plan costs, as it claims.
@@ -249,13 +253,9 @@ def _visit(item: Any) -> Visit:
 
 def _cost(item: Any) -> Cost:
     record = reading.keys(PlanError, item, Cost.__dataclass_fields__)
-    optional = {"lower_bound": None, "gap": None}
-    for name in ("length", "travel", "makespan"):
-        optional[name] = reading.number(PlanError, name, record[name], least=0.0)
-    for name in ("lower_bound", "gap"):
-        if record[name] is not None:
-            optional[name] = reading.number(PlanError, name, record[name])
-    return Cost(**optional)
+    sure = {name: reading.number(PlanError, name, record[name], least=0.0) for name in ("length", "travel", "makespan")}
+    claims = {name: None if record[name] is None else reading.number(PlanError, name, record[name]) for name in CLAIMS}
+    return Cost(sure["length"], sure["travel"], claims["lower_bound"], claims["gap"], sure["makespan"])
 
 
 def _timing(item: Any) -> dict[str, float]:
