@@ -137,7 +137,7 @@ def _draw_least(panel: Axes, times: FloatArray, least: FloatArray, required: flo
     if required > 0.0:
         panel.axhspan(bottom, required, color=DANGER, alpha=0.08, linewidth=0)
         panel.axhline(required, color=DANGER, linewidth=1.1, linestyle=(0, (4, 2)))
-    panel.plot(times[worst], least[worst], "o", color=INK, markersize=4.5, markeredgecolor="white", zorder=5)
+    panel.plot(times[worst], least[worst], "o", color=INK, markersize=4.5, markeredgecolor="white", zorder=5, clip_on=False)
     words = f"least {least[worst]:.2f} at {times[worst]:.1f} s"
     if required > 0.0:
         words += f", required {required:.2g}"

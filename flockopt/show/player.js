@@ -249,7 +249,7 @@ function listFleet() {
     const row = document.createElement("button"), [dot, name, tasks, metres] = ["i", "b", "span", "span"].map((tag) => document.createElement(tag));
     dot.style.background = drone.color;
     name.textContent = drone.id;
-    tasks.textContent = tasks.title = drone.tasks.join(" → ");
+    tasks.textContent = tasks.title = drone.tasks.join(" → ") || (flight.makespan ? "stays" : "");
     metres.textContent = drone.length === null ? "" : `${drone.length.toFixed(1)} m`;
     row.append(dot, name, tasks, metres);
     row.setAttribute("aria-pressed", "false");
