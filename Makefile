@@ -50,7 +50,7 @@ format: $(READY)  ## mend what the formatter and the linter can mend
 lock: $(READY)  ## pin the newest versions that pyproject.toml allows in requirements.lock
 	$(RUN) -m pip install --quiet $(UV)
 	$(RUN) -m uv pip compile --universal --python-version 3.11 --generate-hashes --upgrade --no-header --no-annotate \
-		--no-emit-index-url --no-emit-find-links --extra show --extra solvers --extra peers --extra dev \
+		--no-emit-index-url --no-emit-find-links --extra show --extra solvers --extra trajectory --extra peers --extra dev \
 		--output-file requirements.lock pyproject.toml
 
 clean:  ## remove what the other targets made
