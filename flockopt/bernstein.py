@@ -15,7 +15,10 @@ from numba import njit, types
 
 from flockopt.geometry import FloatArray
 
-__all__ = ["control_points", "derivative", "extreme_coordinates", "extreme_norm", "halve", "largest_norm", "least_margin"]
+__all__ = [
+    "control_points", "derivative", "extreme_coordinates", "extreme_norm", "halve", "largest_norm", "largest_value",
+    "least_margin", "piece_states", "squared_norm",
+]  # fmt: skip
 
 #: Degrees up to 7 in space, thus up to 14 in a squared norm; one row more than that costs nothing.
 BINOMIAL = np.array([[math.comb(n, k) for k in range(16)] for n in range(16)], dtype=np.float64)
@@ -67,6 +70,24 @@ def control_points(breakpoints: FloatArray, coefficients: FloatArray, num_terms:
                     result[k, axis, i] += weights[n, i] * term
             scale *= duration
     return result
+
+
+@njit(types.UniTuple(types.Array(types.float64, 3, "C"), 2)(ARRAY_1, ARRAY_3), cache=True)
+def piece_states(breakpoints: FloatArray, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Position, velocity and acceleration where every piece begins and where it ends, each (K, 3, 3)."""
+    num_pieces, _, num_terms = coefficients.shape
+    firsts, lasts = np.zeros((num_pieces, 3, 3)), np.zeros((num_pieces, 3, 3))
+    for k in range(num_pieces):
+        duration = breakpoints[k + 1] - breakpoints[k]
+        for axis in range(3):
+            for order in range(min(3, num_terms)):
+                value = 0.0
+                for n in range(num_terms - 1, order - 1, -1):
+                    factor = 1.0 if order == 0 else float(n) if order == 1 else float(n * (n - 1))
+                    value = value * duration + factor * coefficients[k, axis, n]
+                lasts[k, order, axis] = value
+                firsts[k, order, axis] = coefficients[k, axis, order] * (2.0 if order == 2 else 1.0)
+    return firsts, lasts
 
 
 @njit(cache=True)

@@ -20,7 +20,7 @@ from flockopt.continuous import farthest_from, least_clearance, least_separation
 from flockopt.curve import Curve
 from flockopt.errors import PlanError
 from flockopt.geometry import FloatArray, bounding_boxes
-from flockopt.judging import Case, Worst, check_names, piece_states, to_point
+from flockopt.judging import Case, Worst, check_names, to_point
 from flockopt.planfile import Plan
 from flockopt.proof import recompute_bound
 from flockopt.scene import Drone, Scene
@@ -98,16 +98,13 @@ def _coverage_faults(case: Case) -> Iterator[tuple[str | None, str | None, str]]
             yield task.id, None, f"task {task.id} is in a route and among the unserved"
     service = {task.id: task.service_time for task in case.scene.tasks}
     for drone in case.scene.drones:
-        flight = case.plan.flights.get(drone.id, None)
+        flight = case.plan.flights.get(drone.id)
         route, visits = case.plan.routes.get(drone.id, ()), flight.visits if flight is not None else ()
         flown = tuple(visit.task for visit in visits)
         if flown != route:
             odd = next((task for task, other in zip(route, flown, strict=False) if task != other), None)
-            yield (
-                odd,
-                drone.id,
-                f"drone {drone.id} visits {', '.join(flown) or 'nothing'}; its route is {', '.join(route) or 'empty'}",
-            )
+            words = f"visits {', '.join(flown) or 'nothing'}; its route is {', '.join(route) or 'empty'}"
+            yield odd, drone.id, f"drone {drone.id} {words}"
         for early, late in pairwise(visits):
             if not late.time >= early.time + service[early.task] - TIME_TOLERANCE_S:
                 yield late.task, drone.id, f"drone {drone.id} is at {late.task} before it has done with {early.task}"
@@ -128,12 +125,13 @@ def _capacity(case: Case) -> Clause:
 
 def _start(case: Case) -> Clause:
     worst = Worst()
-    for drone in case.scene.drones:
+    for i, drone in enumerate(case.scene.drones):
         flight = case.plan.flights.get(drone.id)
         if flight is None:
             _start_parked(worst, drone)
         else:
-            _start_flying(worst, drone, flight.curve)
+            firsts, lasts = case.states[i]
+            _start_flying(worst, drone, flight.curve, firsts[0], lasts[-1])
     return worst.clause("start", "fraction")
 
 
@@ -148,9 +146,8 @@ def _start_parked(worst: Worst, drone: Drone) -> None:
         worst.see(1.0 - away / VISIT_TOLERANCE_M, drone=drone.id, time=0.0, detail=detail)
 
 
-def _start_flying(worst: Worst, drone: Drone, curve: Curve) -> None:
-    firsts, lasts = piece_states(curve)
-    first, last = firsts[0], lasts[-1]
+def _start_flying(worst: Worst, drone: Drone, curve: Curve, first: FloatArray, last: FloatArray) -> None:
+    """Its first and last position, velocity and acceleration, (3, 3) each."""
     wanted = np.array([drone.start, drone.velocity, drone.acceleration])
     names = ("position", "velocity", "acceleration")
     for name, seen, due, tolerance in zip(names, first, wanted, STATE_TOLERANCES, strict=True):
@@ -179,24 +176,23 @@ def _visits(case: Case) -> Clause:
             task = tasks[visit.task]
             until = visit.time + task.service_time
             away, time = farthest_from(*case.curves[i], np.array(task.position), visit.time, until)
-            detail = f"drone {drone.id} is {away:g} m from task {task.id}, which it should be at"
-            worst.see(
-                VISIT_TOLERANCE_M - away, drone=drone.id, task=task.id, time=time, place=case.place(i, time), detail=detail
-            )
+            margin = VISIT_TOLERANCE_M - away
+            if not worst.lets(margin):
+                detail = f"drone {drone.id} is {away:g} m from task {task.id}, which it should be at"
+                worst.see(margin, drone=drone.id, task=task.id, time=time, place=case.place(i, time), detail=detail)
     return worst.clause("visits", "m", ROUNDING_M)
 
 
 def _continuity(case: Case) -> Clause:
     worst = Worst()
-    for drone, flight in case.flights:
-        firsts, lasts = piece_states(flight.curve)
+    for drone, (times, _), (firsts, lasts) in zip(case.scene.drones, case.curves, case.states, strict=True):
         jumps = np.linalg.norm(firsts[1:] - lasts[:-1], axis=2) / STATE_TOLERANCES  # (K - 1, 3) in tolerances
         if jumps.size:
             piece, order = np.unravel_index(int(np.nan_to_num(jumps, nan=np.inf).argmax()), jumps.shape)
             quantity = ("position", "velocity", "acceleration")[order]
             size = jumps[piece, order] * STATE_TOLERANCES[order]
             detail = f"the {quantity} of drone {drone.id} jumps by {size:g} at breakpoint {piece + 1}"
-            time, place = float(flight.curve.breakpoints[piece + 1]), to_point(lasts[piece, 0])
+            time, place = float(times[piece + 1]), to_point(lasts[piece, 0])
             worst.see(1.0 - float(jumps[piece, order]), drone=drone.id, time=time, place=place, detail=detail)
     return worst.clause("continuity", "fraction")
 
@@ -209,8 +205,10 @@ def _limits(case: Case) -> Clause:
         for order, (quantity, field, unit) in enumerate(LIMITS, start=1):
             value, time = largest_norm(case.curves[i][0], case.controls[i], order)
             limit = getattr(drone, field)
-            detail = f"drone {drone.id} has {quantity} {value:.6g} {unit}; its {field} is {limit:g}"
-            worst.see(1.0 - value / limit, drone=drone.id, time=time, place=case.place(i, time), detail=detail)
+            margin = 1.0 - value / limit
+            if not worst.lets(margin):
+                detail = f"drone {drone.id} has {quantity} {value:.6g} {unit}; its {field} is {limit:g}"
+                worst.see(margin, drone=drone.id, time=time, place=case.place(i, time), detail=detail)
     return worst.clause("limits", "fraction", LIMIT_TOLERANCE)
 
 
@@ -219,8 +217,9 @@ def _bounds(case: Case) -> Clause:
     lower, upper = np.array(case.scene.bounds.lower), np.array(case.scene.bounds.upper)
     for i, drone in enumerate(case.scene.drones):
         margin, time, axis = least_margin(case.curves[i][0], case.controls[i], lower, upper)
-        detail = f"drone {drone.id} is {-margin:g} m outside the bounds in {'xyz'[axis]}"
-        worst.see(margin, drone=drone.id, time=time, place=case.place(i, time), detail=detail)
+        if not worst.lets(margin):
+            detail = f"drone {drone.id} is {-margin:g} m outside the bounds in {'xyz'[axis]}"
+            worst.see(margin, drone=drone.id, time=time, place=case.place(i, time), detail=detail)
     return worst.clause("bounds", "m", BOUNDS_TOLERANCE_M)
 
 
@@ -231,9 +230,10 @@ def _clearance(case: Case) -> Clause:
     for i, drone in enumerate(case.scene.drones if len(table) else ()):
         needs = np.full(len(table), drone.radius + case.scene.clearance)
         margin, time, k = least_clearance(table, boxes, needs, *case.curves[i], RESOLUTION_M)
-        obstacle = case.scene.obstacles[k].id
-        detail = f"drone {drone.id} is {-margin:g} m nearer to obstacle {obstacle} than radius + clearance"
-        worst.see(margin, drone=drone.id, obstacle=obstacle, time=time, place=case.place(i, time), detail=detail)
+        if not worst.lets(margin):
+            obstacle, place = case.scene.obstacles[k].id, case.place(i, time)
+            detail = f"drone {drone.id} is {-margin:g} m nearer to obstacle {obstacle} than radius + clearance"
+            worst.see(margin, drone=drone.id, obstacle=obstacle, time=time, place=place, detail=detail)
     return worst.clause("clearance", "m", CLEARANCE_TOLERANCE_M)
 
 

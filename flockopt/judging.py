@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from flockopt.bernstein import control_points
+from flockopt.bernstein import control_points, piece_states
 from flockopt.bundles import Bound
 from flockopt.certificate import Clause
 from flockopt.continuous import parked
-from flockopt.curve import Curve, Flight
+from flockopt.curve import Flight
 from flockopt.errors import PlanError
 from flockopt.geometry import FloatArray
 from flockopt.planfile import LARGEST_DEGREE, Plan
 from flockopt.scene import Drone, Point, Scene
 from flockopt.travel import Travel
 
-__all__ = ["Case", "Worst", "check_names", "piece_states", "to_point"]
+__all__ = ["Case", "Worst", "check_names", "to_point"]
 
 #: The margin of what cannot be measured, such as a cost that is missing.
 BEYOND_MEASURE = -1e12
@@ -87,6 +87,11 @@ class Case:
         """Every drone's control points, (K, 3, D) m."""
         return [control_points(times, terms, terms.shape[2]) for times, terms in self.curves]
 
+    @cached_property
+    def states(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Every drone's position, velocity and acceleration where its pieces begin and end, each (K, 3, 3)."""
+        return [piece_states(times, terms) for times, terms in self.curves]
+
     @property
     def makespan(self) -> float:
         """Seconds until the last drone has finished."""
@@ -94,7 +99,8 @@ class Case:
 
     def place(self, drone: int, time: float) -> Point:
         """Where a drone is at a time."""
-        return to_point(Curve(*self.curves[drone])(time))
+        flight = self.plan.flights.get(self.scene.drones[drone].id)
+        return self.scene.drones[drone].start if flight is None else to_point(flight.curve(time))
 
 
 @dataclass
@@ -104,9 +110,13 @@ class Worst:
     margin: float = math.inf
     where: dict[str, Any] = field(default_factory=dict)
 
+    def lets(self, margin: float) -> bool:
+        """Whether a margin is no news: what to say of it need not be worked out."""
+        return margin >= self.margin
+
     def see(self, margin: float, **where: Any) -> None:
         """Take note of one margin; one that is not a number is the worst of all."""
-        if not margin >= self.margin:
+        if not self.lets(margin):
             self.margin, self.where = max(margin, BEYOND_MEASURE) if margin > -math.inf else BEYOND_MEASURE, where
 
     def clause(self, name: str, unit: str, tolerance: float = 0.0, note: str = "") -> Clause:
@@ -125,15 +135,3 @@ def to_point(values: FloatArray) -> Point:
     """Three numbers as a point."""
     x, y, z = (float(value) for value in values)
     return x, y, z
-
-
-def piece_states(curve: Curve) -> tuple[FloatArray, FloatArray]:
-    """Position, velocity and acceleration, (K, 3, 3), at the beginning and at the end of every piece."""
-    spans, terms = np.diff(curve.breakpoints), curve.coefficients
-    firsts, lasts = np.zeros((len(spans), 3, 3)), np.zeros((len(spans), 3, 3))
-    for order in range(min(3, terms.shape[2])):
-        firsts[:, order] = terms[:, :, 0]
-        for n in range(terms.shape[2] - 1, -1, -1):
-            lasts[:, order] = lasts[:, order] * spans[:, None] + terms[:, :, n]
-        terms = terms[:, :, 1:] * np.arange(1, terms.shape[2])
-    return firsts, lasts
