@@ -73,7 +73,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--scenes", type=int, default=20, help="seeds for each family and size (default 20)")
     parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
-    parser.add_argument("--families", nargs="+", default=[*FAMILIES, *CITIES], choices=[*FAMILIES, *CITIES], help="what to plan")
+    parser.add_argument(
+        "--families", nargs="+", default=[*FAMILIES, *CITIES], choices=[*FAMILIES, *CITIES], help="what to plan"
+    )
     parser.add_argument("--sizes", nargs="+", default=["10x20", "10x40"], help="drones x tasks (default 10x20 10x40)")
     parser.add_argument("--planner", default="classical", help="who plans (default classical)")
     parser.add_argument("--jobs", type=int, default=1, help="processes; timings are truest with 1 (default 1)")
@@ -139,10 +141,15 @@ def _summary(records: list[dict[str, object]]) -> str:
     columns = ["scenes", "size", "certified", "cost m", "bound m", "gap", "makespan s", "most pieces"]
     columns += [f"{stage} ms" for stage in STAGES[:-1]] + ["plan ms", "p95 ms"]
     certified = sum(bool(record["certified"]) for record in records)
-    failures = [f"- {r['family']} {r['drones']}x{r['tasks']} seed {r['seed']}: {r['status']} {r['failed']}" for r in records if not r["certified"]]
+    failures = [
+        f"- {record['family']} {record['drones']}x{record['tasks']} seed {record['seed']}: {record['status']} {record['failed']}"
+        for record in records
+        if not record["certified"]
+    ]
     closing = f"\n{certified} of {len(records)} certified. Peak memory {peak_memory_gb():.2f} GB.\n"
     note = "Costs, bounds, gaps and makespans are means over certified scenes; times are medians.\n\n"
-    return header("Planning", "benchmarks.planning") + "\n" + note + markdown_table(columns, table) + closing + "\n".join(failures)
+    text = [header("Planning", "benchmarks.planning"), note + markdown_table(columns, table) + closing, *failures]
+    return "\n".join(text)
 
 
 def _mean(records: list[dict[str, object]], key: str) -> float:

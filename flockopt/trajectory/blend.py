@@ -109,7 +109,7 @@ def _without_cruises(leg_s: FloatArray, blend_s: FloatArray, unwanted: int) -> F
         for k in range(legs):
             left = 2 * slack[k - 1] if k > 0 else np.inf
             right = 2 * slack[k + 1] if k + 1 < legs else np.inf
-            if 1e-9 < slack[k] and left + right >= 2 * slack[k] and (chosen < 0 or slack[k] < slack[chosen]):
+            if slack[k] > 1e-9 and left + right >= 2 * slack[k] and (chosen < 0 or slack[k] < slack[chosen]):
                 chosen, share = k, min(left, max(slack[k], 2 * slack[k] - right))
         if chosen < 0:
             break
@@ -182,7 +182,8 @@ def _entry_seconds(velocity: FloatArray, acceleration: FloatArray, target: Float
                 speed += v * v
                 acceleration_norm += (dw * 6 * (tau - tau**2) / seconds + a * (1 - 4 * tau + 3 * tau**2)) ** 2
                 jerk += (dw * (6 - 12 * tau) / seconds**2 + a * (6 * tau - 4) / seconds) ** 2
-            excess = max(excess, math.sqrt(speed) / limits[0], math.sqrt(acceleration_norm) / limits[1], math.sqrt(jerk) / limits[2])
+            squares = (speed / limits[0] ** 2, acceleration_norm / limits[1] ** 2, jerk / limits[2] ** 2)
+            excess = max(excess, math.sqrt(max(squares)))
         if excess <= 1.0:
             return seconds
         if excess < least_excess:

@@ -19,8 +19,8 @@ from flockopt.curve import Curve, Flight, Visit
 from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray, bounding_boxes, distances
 from flockopt.scene import Drone, Scene
-from flockopt.travel import Travel, compute_travel
 from flockopt.trajectory.waypoints import FLY_THROUGH, Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
+from flockopt.travel import Travel, compute_travel
 
 __all__ = ["LAWS", "decode", "fly"]
 
@@ -110,8 +110,9 @@ def _stay(scene: Scene, drone: Drone, waypoints: Waypoints) -> Flight:
     """The flight of a drone that serves its tasks where it stands, or brakes to a halt and returns."""
     if np.any(drone.velocity) or np.any(drone.acceleration):
         start = waypoints.points[0]
-        there = start + np.array(drone.velocity) * drone.max_speed / drone.max_acceleration
-        loop = Waypoints(np.array([start, there, start]), np.array([FLY_THROUGH, FLY_THROUGH, 0.0]), ((), (), waypoints.tasks[0]))
+        there = start + np.array(drone.velocity) * drone.max_speed / drone.flyable_acceleration
+        rest_s = np.array([FLY_THROUGH, FLY_THROUGH, 0.0])
+        loop = Waypoints(np.array([start, there, start]), rest_s, ((), (), waypoints.tasks[0]))
         return _Trial.make(loop, _Room.around(scene, drone, loop)).flight(scene)
     seconds = max(float(waypoints.rest_s[0]), SHORTEST_FLIGHT_S)
     curve = Curve(np.array([0.0, seconds]), waypoints.points[0].reshape(1, 3, 1))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from flockopt.bundles import Bundles
@@ -125,7 +127,7 @@ class Detours:
         cuts = [0] + [k for k, tasks in enumerate(waypoints.tasks) for _ in tasks]
         if cuts[-1] < len(waypoints.points) - 1:
             cuts.append(len(waypoints.points) - 1)
-        return [waypoints.points[a : b + 1] for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+        return [waypoints.points[a : b + 1] for a, b in pairwise(cuts)]
 
     def _roadmap(self, drone: int, balls: FloatArray) -> Roadmap:
         table = np.vstack([self.scene.obstacle_table, balls])
@@ -148,7 +150,7 @@ class Detours:
         taken.append(np.array([_position(curves[other], np.inf) for other in range(self.scene.num_drones) if other != drone]))
         free = ((candidates >= self.scene.bounds.lower) & (candidates <= self.scene.bounds.upper)).all(axis=1)
         for point in np.vstack(taken):
-            free &= ~self._inside(candidates, point)
+            free &= np.logical_not(self._inside(candidates, point))
         free &= self._straight_ways(drone, parking, candidates)
         return candidates[int(free.argmax())] if free.any() else None
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,7 +47,8 @@ class Waypoints:
     @classmethod
     def join(cls, scene: Scene, route: Sequence[int], legs: Sequence[FloatArray]) -> Waypoints:
         """Waypoints along consecutive legs; leg r ends at task ``route[r]``, one more may lead on to the end."""
-        points, rests, tasks = [legs[0][0]], [FLY_THROUGH], [()]
+        points, rests = [legs[0][0]], [FLY_THROUGH]
+        tasks: list[tuple[int, ...]] = [()]
         for index, leg in enumerate(legs):
             for point in leg[1:]:
                 if np.linalg.norm(point - points[-1]) > SAME_POINT_M:
@@ -76,7 +78,7 @@ def waypoints_from_paths(scene: Scene, travel: Travel, drone: int, route: Sequen
     stops = [START, *route] + ([END] if scene.drones[drone].end_point is not None else [])
     if len(stops) == 1:
         return Waypoints(scene.starts[drone : drone + 1], np.zeros(1), ((),))
-    legs = [travel.path(drone, *pair) for pair in zip(stops[:-1], stops[1:], strict=True)]
+    legs = [travel.path(drone, *pair) for pair in pairwise(stops)]
     for index, leg in enumerate(legs):
         if not len(leg):
             rule = f"leg {index} must have a way for drone {scene.drones[drone].id!r}"
@@ -164,4 +166,4 @@ def _leg_clear(scene: Scene, drone: int, leg: FloatArray) -> bool:
         return False
     table = scene.obstacle_table
     needs = np.full(len(table), scene.drones[drone].radius + scene.clearance)
-    return all(segment_clear(table, scene.obstacle_boxes, needs, a, b) for a, b in zip(leg[:-1], leg[1:], strict=True))
+    return all(segment_clear(table, scene.obstacle_boxes, needs, a, b) for a, b in pairwise(leg))

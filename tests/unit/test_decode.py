@@ -5,48 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flockopt import Bounds, Box, Bundles, Cylinder, Drone, Scene, SettingsError, Task, compute_travel, generate
-from flockopt.bernstein import control_points, largest_norm
-from flockopt.continuous import curve_clear, least_clearance
-from flockopt.trajectory.decode import decode
-
-BOUNDS = Bounds((0, 0, 0), (10, 10, 4))
-
-
-def drone(index: int, start: tuple, capacity: int = 5, **fields) -> Drone:
-    limits = {"radius": 0.12, "max_speed": 2.0, "max_acceleration": 4.0, "max_jerk": 30.0}
-    return Drone(f"d{index}", start, capacity, **(limits | fields))
-
-
-def make_scene(drones: list, tasks: list, obstacles: tuple = (), **fields) -> Scene:
-    records = [task if isinstance(task, Task) else Task(f"t{j}", task) for j, task in enumerate(tasks)]
-    return Scene("test", BOUNDS, tuple(drones), tuple(records), obstacles, clearance=0.1, separation=0.4, **fields)
-
-
-def in_order(scene: Scene) -> Bundles:
-    """Tasks dealt out in turn, each drone taking as many as it can."""
-    routes, left = [], list(range(scene.num_tasks))
-    for record in scene.drones:
-        routes.append(tuple(left[: record.capacity]))
-        left = left[record.capacity :]
-    return Bundles(tuple(routes))
-
-
-def check_flights(scene: Scene, flights: dict, limits_slack: float = 1e-9) -> None:
-    for record in scene.drones:
-        if record.id not in flights:
-            continue
-        curve = flights[record.id].curve
-        needs = np.full(len(scene.obstacles), record.radius + scene.clearance)
-        blocked = curve_clear(scene.obstacle_table, scene.obstacle_boxes, needs, curve.breakpoints, curve.coefficients)
-        assert blocked == -1
-        control = control_points(curve.breakpoints, curve.coefficients, curve.coefficients.shape[2])
-        limits = (record.max_speed, record.max_acceleration, record.max_jerk)
-        for order, limit in enumerate(limits, start=1):
-            assert largest_norm(curve.breakpoints, control, order)[0] <= limit * (1 + limits_slack)
-        positions = {task.id: task.position for task in scene.tasks}
-        for visit in flights[record.id].visits:
-            np.testing.assert_allclose(curve(visit.time), positions[visit.task], atol=1e-9)
+from flockopt import Box, Bundles, Cylinder, SettingsError, Task, compute_travel, decode, generate
+from flockopt.continuous import least_clearance
+from tests.flights import check_flights, drone, in_order, make_scene
 
 
 @pytest.mark.parametrize("family", ["forest", "corridor", "warehouse", "rooms", "city"])
@@ -78,7 +39,9 @@ def test_samples_through_an_obstacle_are_replaced_by_a_clear_way():
 
 
 def test_service_time_is_held():
-    scene = make_scene([drone(0, (1, 1, 1))], [Task("t0", (4, 1, 1), service_time=1.5), Task("t1", (8, 1, 1), service_time=0.5)])
+    scene = make_scene(
+        [drone(0, (1, 1, 1))], [Task("t0", (4, 1, 1), service_time=1.5), Task("t1", (8, 1, 1), service_time=0.5)]
+    )
     flight = decode(scene, in_order(scene))["d0"]
     first, last = flight.visits
     np.testing.assert_allclose(flight.curve(first.time + np.linspace(0, 1.5, 9)), np.tile([4, 1, 1], (9, 1)), atol=1e-9)
@@ -86,7 +49,9 @@ def test_service_time_is_held():
 
 
 def test_two_tasks_at_one_point_are_served_one_after_another():
-    scene = make_scene([drone(0, (1, 1, 1))], [Task("t0", (4, 1, 1), service_time=1.0), Task("t1", (4, 1, 1), service_time=1.0)])
+    scene = make_scene(
+        [drone(0, (1, 1, 1))], [Task("t0", (4, 1, 1), service_time=1.0), Task("t1", (4, 1, 1), service_time=1.0)]
+    )
     flight = decode(scene, in_order(scene))["d0"]
     assert flight.visits[1].time == pytest.approx(flight.visits[0].time + 1.0)
 
@@ -149,7 +114,7 @@ def test_bad_samples_are_named(samples: np.ndarray, field: str):
 
 def test_an_unknown_law_and_a_foreign_fleet_are_named():
     scene = make_scene([drone(0, (1, 1, 1))], [(5, 1, 1)])
-    with pytest.raises(SettingsError, match="law is 'warp'.*fly-through"):
+    with pytest.raises(SettingsError, match=r"law is 'warp'.*fly-through"):
         decode(scene, in_order(scene), law="warp")
     with pytest.raises(SettingsError, match="bundles hold 2"):
         decode(scene, Bundles(((0,), ())))

@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import sys
 
 import numpy as np
 import pytest
 
 from flockopt import Box, Bundles, Scene, decode, deconflict
-from flockopt.continuous import least_separation, parked
-from test_decode import check_flights, drone, make_scene
-
-
-def worst_separation(scene: Scene, flights: dict) -> float:
-    """Least margin of any pair over all time, metres."""
-    curves = [
-        (flights[record.id].curve.breakpoints, flights[record.id].curve.coefficients)
-        if record.id in flights
-        else parked(np.array(record.start))
-        for record in scene.drones
-    ]
-    end = max(curve[0][-1] for curve in curves)
-    axes = np.array(scene.separation_axes)
-    return min(least_separation(*a, *b, axes, 0.0, end, 1e-6)[0] for a, b in itertools.combinations(curves, 2))
+from flockopt.trajectory.schedule import meeting_steps, schedule
+from tests.flights import check_flights, drone, make_scene, worst_separation
 
 
 def resolve(scene: Scene, routes: tuple):
@@ -47,7 +35,10 @@ PLANTED = {
     "exchange of places": (make_scene([drone(0, (1, 5, 1)), drone(1, (9, 5, 1))], [(9, 5, 1), (1, 5, 1)]), ((0,), (1,))),
     "a grounded drone on the way": (make_scene([drone(0, (1, 5, 1)), drone(1, (5, 5, 1), 0)], [(9, 5, 1)]), ((0,), ())),
     "an idle drone at a task": (make_scene([drone(0, (1, 5, 1)), drone(1, (5, 5, 1))], [(5.2, 5, 1)]), ((0,), ())),
-    "two last tasks side by side": (make_scene([drone(0, (1, 5, 1)), drone(1, (9, 5, 1))], [(5, 5, 1), (5.1, 5, 1)]), ((0,), (1,))),
+    "two last tasks side by side": (
+        make_scene([drone(0, (1, 5, 1)), drone(1, (9, 5, 1))], [(5, 5, 1), (5.1, 5, 1)]),
+        ((0,), (1,)),
+    ),
     "an end on another's way": (
         make_scene([drone(0, (1, 5, 1)), drone(1, (9, 5, 1))], [(5, 5, 1), (3, 5, 1), (7, 5, 1)]),
         ((0,), (1, 2)),
@@ -94,3 +85,47 @@ def test_flights_that_meet_nobody_are_left_alone():
     bundles = Bundles(((0,), (1,)))
     flights = decode(scene, bundles)
     assert deconflict(scene, bundles, flights).flights is flights
+
+
+def circle_swap(count: int):
+    angles = np.arange(count) * 2 * np.pi / count
+    spots = np.column_stack([5 + 4 * np.cos(angles), 5 + 4 * np.sin(angles), np.full(count, 1.5)])
+    drones = [drone(i, tuple(spot)) for i, spot in enumerate(spots)]
+    return make_scene(drones, [tuple(spots[(i + count // 2) % count]) for i in range(count)]), tuple((i,) for i in range(count))
+
+
+def test_all_changing_places_across_a_circle():
+    before, after, result = resolve(*circle_swap(6))
+    assert before < 0.0 <= after
+    assert result.unresolved == ()
+
+
+def test_without_the_scheduling_model_drones_wait_one_after_another(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ortools.sat.python", None)
+    before, after, result = resolve(*PLANTED["eight through one door"])
+    assert before < 0.0 <= after
+    assert result.unresolved == ()
+
+
+def test_the_schedule_has_least_makespan():
+    scene, routes = PLANTED["eight through one door"]
+    flights = list(decode(scene, Bundles(routes)).values())
+    curves = [(flight.curve.breakpoints, flight.curve.coefficients) for flight in flights][:3]
+    axes, step, most = np.array(scene.separation_axes), 0.2, 8
+    delays = schedule(curves, [True] * 3, axes, step, most)
+    assert delays is not None
+    tables = {(a, b): meeting_steps(*curves[a], *curves[b], axes, step, most) for a, b in itertools.combinations(range(3), 2)}
+    best = min(
+        max(curve[0][-1] + step * k for curve, k in zip(curves, steps, strict=True))
+        for steps in itertools.product(range(most + 1), repeat=3)
+        if not any(tables[a, b][most + steps[a] - steps[b]] for a, b in tables)
+    )
+    assert max(curve[0][-1] + delay for curve, delay in zip(curves, delays, strict=True)) <= best + step
+
+
+def test_no_delay_helps_two_drones_that_end_at_one_place():
+    ends = [drone(0, (1, 5, 1), end=(5, 5, 1)), drone(1, (9, 5, 1), end=(5.1, 5, 1))]
+    scene = make_scene(ends, [(3, 5, 1), (7, 5, 1)])
+    flights = decode(scene, Bundles(((0,), (1,))))
+    curves = [(flight.curve.breakpoints, flight.curve.coefficients) for flight in flights.values()]
+    assert schedule(curves, [True, True], np.array(scene.separation_axes), 0.2, 20) is None
