@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["Motion", "flights_of", "sample_motion"]
 
 #: How many instants a drawing shows, and how many drone-obstacle and drone-drone distances it may take.
-MOST_INSTANTS, LEAST_INSTANTS, DISTANCE_BUDGET = 600, 120, 20_000_000
+MOST_INSTANTS, LEAST_INSTANTS, DISTANCE_BUDGET = 600, 80, 10_000_000
 
 #: Points whose distances are taken at once, so that memory stays small in big scenes.
 CHUNK_DISTANCES = 1_000_000
