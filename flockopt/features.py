@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from flockopt.geometry import BOX, SPHERE, FloatArray, bounding_boxes
+from flockopt.geometry import BOX, SPHERE, FloatArray
 from flockopt.kernels import point_distance, point_gradient
+from flockopt.nearness import Space
 
-__all__ = ["Features", "Space", "make_features", "make_space"]
+__all__ = ["Features", "make_features"]
 
 #: Sides of the polygon around a grown footprint: a multiple of four, so that a box keeps its faces.
 NUM_SIDES = 8
@@ -30,16 +31,6 @@ LEAST_STRETCH_M = 1e-6
 EDGE_SLACK, SPHERE_SLACK = 1e-6, 0.25
 
 
-class Space(NamedTuple):
-    """What a segment is checked against."""
-
-    table: FloatArray  # (K, 9) obstacle rows
-    grown: FloatArray  # (K, 2, 3) m, bounding boxes grown by needs
-    needs: FloatArray  # (K,) m, least distance of a drone's centre
-    lower: FloatArray  # (3,) m
-    upper: FloatArray  # (3,) m
-
-
 class Features(NamedTuple):
     """Points where a path may bend, with the two faces that meet there."""
 
@@ -48,13 +39,6 @@ class Features(NamedTuple):
     second: FloatArray  # (F, 3) outward normal of the other face
     along: FloatArray  # (F, 3) unit direction of the edge; zero on a sphere
     slack: FloatArray  # (F,) see EDGE_SLACK
-
-
-def make_space(table: FloatArray, needs: FloatArray, lower: FloatArray, upper: FloatArray) -> Space:
-    """Obstacles, needs and bounds with the bounding boxes that cull checks."""
-    needs = np.ascontiguousarray(needs, dtype=np.float64)
-    grown = bounding_boxes(table) + needs[:, None, None] * np.array([-1.0, 1.0])[None, :, None]
-    return Space(np.array(table), grown, needs, np.array(lower, dtype=np.float64), np.array(upper, dtype=np.float64))
 
 
 def make_features(space: Space) -> Features:
@@ -166,9 +150,11 @@ def _blocked_stretch(row: FloatArray, need: float, p: FloatArray, q: FloatArray)
 
 
 @njit(cache=True)
-def _near(grown: FloatArray, p: FloatArray, q: FloatArray) -> bool:
+def _near(row: FloatArray, need: float, reach: float, p: FloatArray, q: FloatArray) -> bool:
+    """Whether the bounding boxes of the grown obstacle's hull and of p-q meet."""
     for axis in range(3):
-        if max(p[axis], q[axis]) < grown[0, axis] or min(p[axis], q[axis]) > grown[1, axis]:
+        room = row[6] + need if axis == 2 and row[0] != SPHERE else reach
+        if max(p[axis], q[axis]) < row[1 + axis] - room or min(p[axis], q[axis]) > row[1 + axis] + room:
             return False
     return True
 
@@ -219,7 +205,7 @@ def _append(rows: FloatArray, count: int) -> FloatArray:
 @njit(cache=True)
 def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
     """Features on the free stretches of the edges and around spheres, (F, 13): see `Features` for the columns."""
-    table, grown, needs, lower, upper = space
+    table, needs, reach, lower, upper = space
     num_obstacles = table.shape[0]
     rows = np.empty((4 * edges.shape[0] + 32, 13))
     count = 0
@@ -233,7 +219,7 @@ def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
         length = math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
         num_blocked = 0
         for k in range(num_obstacles):
-            if k != int(edge[12]) and _near(grown[k], p, q):
+            if k != int(edge[12]) and _near(table[k], needs[k], reach[k], p, q):
                 enter, leave = _blocked_stretch(table[k], needs[k], p, q)
                 if enter <= leave:
                     place = num_blocked
@@ -268,13 +254,13 @@ def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
     for k in range(num_obstacles):
         if table[k, 0] != SPHERE:
             continue
-        reach = (table[k, 4] + needs[k]) / math.cos(math.pi / 8.0)
+        away = (table[k, 4] + needs[k]) / math.cos(math.pi / 8.0)
         for sample in range(_sphere_net(table[k], needs[k], net)):
             rows = _append(rows, count)
             rows[count] = 0.0
             usable = True
             for axis in range(3):
-                rows[count, axis] = table[k, 1 + axis] + reach * net[sample, axis]
+                rows[count, axis] = table[k, 1 + axis] + away * net[sample, axis]
                 rows[count, 3 + axis] = rows[count, 6 + axis] = net[sample, axis]
                 usable = usable and lower[axis] <= rows[count, axis] <= upper[axis]
             rows[count, 12] = SPHERE_SLACK

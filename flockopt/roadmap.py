@@ -9,12 +9,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from flockopt.features import Features, Space, make_features, make_space
+from flockopt.features import Features, make_features
 from flockopt.geometry import FloatArray
+from flockopt.nearness import Space, blocker, make_space
 from flockopt.shortening import polyline_length, shorten
-from flockopt.visibility import Sight, blocker, empty_sight, segment_length, shortest
+from flockopt.pathsearch import shortest, within_ellipse
+from flockopt.visibility import Sight, empty_sight, segment_length
 
 __all__ = ["Legs", "Roadmap"]
+
+#: Ellipses to search first, as multiples of the straight flight.
+ELLIPSES = (1.02, 1.1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,38 +107,70 @@ def _bent(
     num_points, num_features = points.shape[0], features.position.shape[0]
     views = np.zeros((num_points, num_features), dtype=np.uint8)
     parent = np.empty(num_features, dtype=np.int64)
+    from_source = np.empty(num_features)
     path, along = np.zeros((num_features + 2, 3)), np.zeros((num_features + 2, 3))
-    num_blocked = 0
-    for i in range(num_points):
-        for j in range(num_points):
-            num_blocked += blocked[i, j]
-    pairs = np.empty((num_blocked, 2), dtype=np.int64)
-    offsets = np.zeros(num_blocked + 1, dtype=np.int64)
-    bends = np.empty((4 * num_blocked + 16, 3))
-    num_legs, used = 0, 0
-    for source in range(num_points):
-        targets = np.nonzero(blocked[source])[0]
-        if targets.shape[0] == 0:
-            continue
-        best = np.full(targets.shape[0], np.inf)
-        last = np.full(targets.shape[0], -1, dtype=np.int64)
-        sight = shortest(space, features, sight, points, views, source, targets, best, last, parent)
-        for t in range(targets.shape[0]):
-            if last[t] < 0:
-                continue
-            count = _trace(features, points[source], points[targets[t]], last[t], parent, path, along)
-            count = shorten(space, path, along, count)
-            lengths[source, targets[t]] = lengths[targets[t], source] = polyline_length(path, count)
-            if used + count > bends.shape[0]:
-                wider = np.empty((2 * (used + count), 3))
-                wider[:used] = bends[:used]
-                bends = wider
-            bends[used : used + count - 2] = path[1 : count - 1]
-            used += count - 2
-            pairs[num_legs, 0], pairs[num_legs, 1] = source, targets[t]
-            num_legs += 1
-            offsets[num_legs] = used
-    return sight, pairs[:num_legs], offsets[: num_legs + 1], bends[:used]
+    pairs = np.argwhere(blocked)
+    offsets = np.zeros(pairs.shape[0] + 1, dtype=np.int64)
+    bends = np.empty((4 * pairs.shape[0] + 16, 3))
+    begin, count_of = np.empty(pairs.shape[0], dtype=np.int64), np.full(pairs.shape[0], -1, dtype=np.int64)
+    used, pair = 0, 0
+    left = np.empty(num_points, dtype=np.int64)
+    while pair < pairs.shape[0]:
+        source = pairs[pair, 0]
+        stop = pair
+        while stop < pairs.shape[0] and pairs[stop, 0] == source:
+            stop += 1
+        for v in range(num_features):
+            from_source[v] = segment_length(points[source], features.position[v])
+        num_left = 0
+        for index in range(pair, stop + 1):
+            if index < stop:
+                target = pairs[index, 1]
+                straight = segment_length(points[source], points[target])
+                last = -1
+                for share in ELLIPSES:
+                    length, last = within_ellipse(
+                        space, features, points, views, source, target, from_source, share * straight, parent
+                    )
+                    if last >= 0:
+                        break
+                if last < 0:
+                    left[num_left] = index
+                    num_left += 1
+                    continue
+                used, bends = _keep(space, features, points, source, target, last, parent, path, along, bends, used, lengths, begin, count_of, index)
+            elif num_left > 0:
+                targets = pairs[left[:num_left], 1]
+                best = np.full(num_left, np.inf)
+                lasts = np.full(num_left, -1, dtype=np.int64)
+                sight = shortest(space, features, sight, points, views, source, targets, best, lasts, parent)
+                for t in range(num_left):
+                    if lasts[t] >= 0:
+                        used, bends = _keep(space, features, points, source, targets[t], lasts[t], parent, path, along, bends, used, lengths, begin, count_of, left[t])
+        pair = stop
+    # pack the found ones in the order of the pairs
+    found = np.nonzero(count_of >= 0)[0]
+    packed = np.empty((used, 3))
+    offsets = np.zeros(found.shape[0] + 1, dtype=np.int64)
+    for i in range(found.shape[0]):
+        b, c = begin[found[i]], count_of[found[i]]
+        offsets[i + 1] = offsets[i] + c
+        packed[offsets[i] : offsets[i + 1]] = bends[b : b + c]
+    return sight, pairs[found], offsets, packed
+
+
+@njit(cache=True)
+def _keep(space, features, points, source, target, last, parent, path, along, bends, used, lengths, begin, count_of, index):
+    count = _trace(features, points[source], points[target], last, parent, path, along)
+    count = shorten(space, path, along, count)
+    lengths[source, target] = lengths[target, source] = polyline_length(path, count)
+    if used + count > bends.shape[0]:
+        wider = np.empty((2 * (used + count), 3))
+        wider[:used] = bends[:used]
+        bends = wider
+    bends[used : used + count - 2] = path[1 : count - 1]
+    begin[index], count_of[index] = used, count - 2
+    return used + count - 2, bends
 
 
 @njit(cache=True)

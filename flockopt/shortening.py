@@ -7,15 +7,15 @@ import math
 import numpy as np
 from numba import njit
 
-from flockopt.features import Space
-from flockopt.geometry import FloatArray
-from flockopt.visibility import blocker, segment_length
+from flockopt.geometry import SPHERE, FloatArray
+from flockopt.nearness import Space, blocker
+from flockopt.visibility import segment_length
 
 __all__ = ["polyline_length", "shorten"]
 
-#: Rounds over all bends, and halvings in one search for how far a bend may retract.
-NUM_ROUNDS, NUM_HALVINGS = 4, 10
-#: A round that gains less than this share of the length is the last.
+#: Rounds over all bends, and halvings in one search for how far a bend may retract, at most.
+MOST_ROUNDS, MOST_HALVINGS = 5, 20
+#: A gain of less than this share of the length is not worth a round.
 LEAST_GAIN = 1e-4
 
 
@@ -31,20 +31,23 @@ def polyline_length(path: FloatArray, count: int) -> float:
 @njit(cache=True)
 def nearby(space: Space, path: FloatArray, count: int) -> Space:
     """The part of the space that the polyline's bounding box meets: shortening never leaves that box."""
+    lower, upper = path[0].copy(), path[0].copy()
+    for i in range(1, count):
+        for axis in range(3):
+            lower[axis], upper[axis] = min(lower[axis], path[i, axis]), max(upper[axis], path[i, axis])
     keep = np.empty(space.table.shape[0], dtype=np.int64)
     size = 0
     for k in range(space.table.shape[0]):
         meets = True
         for axis in range(3):
-            low, high = path[:count, axis].min(), path[:count, axis].max()
-            if low > space.grown[k, 1, axis] or high < space.grown[k, 0, axis]:
-                meets = False
-                break
+            room = space.table[k, 6] + space.needs[k] if axis == 2 and space.table[k, 0] != SPHERE else space.reach[k]
+            place = space.table[k, 1 + axis]
+            meets = meets and lower[axis] <= place + room and upper[axis] >= place - room
         if meets:
             keep[size] = k
             size += 1
     keep = keep[:size]
-    return Space(space.table[keep], space.grown[keep], space.needs[keep], space.lower, space.upper)
+    return Space(space.table[keep], space.needs[keep], space.reach[keep], space.lower, space.upper)
 
 
 @njit(cache=True)
@@ -104,23 +107,33 @@ def _slide(space: Space, path: FloatArray, along: FloatArray, i: int) -> None:
 
 
 @njit(cache=True)
-def _retract(space: Space, path: FloatArray, i: int, toward: int, away: int) -> None:
+def _retract(space: Space, path: FloatArray, i: int, toward: int, away: int, least_gain: float) -> None:
     """Move bend i along its own segment to ``toward`` until the other segment touches an obstacle.
 
-    The one segment stays on its line, hence clear, and by the triangle inequality the path gets no longer.
+    The one segment stays on its line, hence clear, and by the triangle inequality the path gets no longer. The
+    length is a convex function of how far the bend has moved, so its slope at a clear place bounds what more
+    there is to gain; less than ``least_gain`` metres is left alone.
     """
-    v, goal = path[i].copy(), path[toward]
+    v, goal, end = path[i].copy(), path[toward].copy(), path[away].copy()
+    moved = v.copy()
+    whole = segment_length(v, goal)
     low, high = 0.0, 1.0
-    moved = np.empty(3)
     guess = -1
-    for _ in range(NUM_HALVINGS):
+    for _ in range(MOST_HALVINGS):
+        onward = segment_length(path[i], end)
+        ahead = 0.0
+        for axis in range(3):
+            ahead += (goal[axis] - v[axis]) * (end[axis] - path[i, axis])
+        # cosine of the angle between the two segments: -1 where the path is straight
+        if (high - low) * whole * (1.0 + ahead / max(whole * onward, 1e-300)) <= least_gain:
+            return
         middle = 0.5 * (low + high)
         for axis in range(3):
             moved[axis] = v[axis] + middle * (goal[axis] - v[axis])
-        found = blocker(space, moved, path[away], guess)
+        found = blocker(space, moved, end, guess)
         if found < 0:
             low = middle
-            path[i] = moved
+            path[i, 0], path[i, 1], path[i, 2] = moved[0], moved[1], moved[2]
         else:
             high, guess = middle, found
 
@@ -141,14 +154,15 @@ def shorten(space: Space, path: FloatArray, along: FloatArray, count: int) -> in
     local = nearby(space, path, count)
     count = _skip(local, path, along, count)
     length = polyline_length(path, count)
-    for _ in range(NUM_ROUNDS):
+    for _ in range(MOST_ROUNDS):
+        least_gain = LEAST_GAIN * length
         for i in range(1, count - 1):
             _slide(local, path, along, i)
-            _retract(local, path, i, i - 1, i + 1)
-            _retract(local, path, i, i + 1, i - 1)
+            _retract(local, path, i, i - 1, i + 1, 0.5 * least_gain)
+            _retract(local, path, i, i + 1, i - 1, 0.5 * least_gain)
         count = _skip(local, path, along, count)
         shorter = polyline_length(path, count)
-        if length - shorter <= LEAST_GAIN * length:
+        if length - shorter <= least_gain:
             break
         length = shorter
     return count
