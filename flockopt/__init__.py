@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from flockopt.families.generate import generate
     from flockopt.plan import plan
     from flockopt.planfile import Plan
-    from flockopt.scene import Bounds, Box, Cylinder, Drone, Scene, Sphere, Task
+    from flockopt.scene import Bounds, Box, Cylinder, Drone, Origin, Scene, Sphere, Task
     from flockopt.show import show
     from flockopt.trajectory.decode import decode
     from flockopt.trajectory.deconflict import deconflict
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
-    "Bound", "Bounds", "Box", "Bundles", "Curve", "Cylinder", "Drone", "Flight", "FlockError", "MissingExtra", "Plan",
+    "Bound", "Bounds", "Box", "Bundles", "Curve", "Cylinder", "Drone", "Flight", "FlockError", "MissingExtra", "Origin", "Plan",
     "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task", "Travel", "Visit", "__version__",
     "certify", "compute_travel", "decode", "deconflict", "generate", "lower_bound", "plan", "refine_bundles", "show",
 ]  # fmt: skip
@@ -45,7 +45,7 @@ _HOMES = {
     "flockopt.families.generate": ("generate",),
     "flockopt.plan": ("plan",),
     "flockopt.planfile": ("Plan",),
-    "flockopt.scene": ("Bounds", "Box", "Cylinder", "Drone", "Scene", "Sphere", "Task"),
+    "flockopt.scene": ("Bounds", "Box", "Cylinder", "Drone", "Origin", "Scene", "Sphere", "Task"),
     "flockopt.show": ("show",),
     "flockopt.trajectory.decode": ("decode",),
     "flockopt.trajectory.deconflict": ("deconflict",),

@@ -13,186 +13,41 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from flockopt import reading
 from flockopt.errors import SceneError
-from flockopt.geometry import BOX, CYLINDER, SPHERE, FloatArray, bounding_boxes, distances, obstacle_table
+from flockopt.geometry import FloatArray, bounding_boxes, distances, obstacle_table
+from flockopt.scene_parts import (
+    GRAVITY_MPS2,
+    LATER_DRONE_KEYS,
+    SHAPES,
+    Bounds,
+    Box,
+    Cylinder,
+    Drone,
+    Obstacle,
+    Origin,
+    Point,
+    Sphere,
+    Task,
+    require_positive,
+    set_fields,
+)
 
-__all__ = ["Bounds", "Box", "Cylinder", "Drone", "Obstacle", "Scene", "Sphere", "Task"]
+__all__ = [
+    "GRAVITY_MPS2", "Bounds", "Box", "Cylinder", "Drone", "Obstacle", "Origin", "Point", "Scene", "Sphere", "Task",
+]  # fmt: skip
 
 FORMAT = "flockopt.scene/1"
 
 #: Slack in comparisons of validated positions, metres: what is lost when a file is written and read again.
 POSITION_TOLERANCE_M = 1e-9
 
-Point: TypeAlias = tuple[float, float, float]
-
-
-def _set(record: object, **values: object) -> None:
-    for name, value in values.items():
-        object.__setattr__(record, name, value)
-
-
-def _positive(record: object, *fields: str) -> None:
-    for field in fields:
-        _set(record, **{field: reading.number(SceneError, field, getattr(record, field), above=0.0)})
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """The axis-aligned space that drones' centres stay within, metres."""
-
-    lower: Point
-    upper: Point
-
-    def __post_init__(self) -> None:
-        _set(self, lower=reading.point(SceneError, "lower", self.lower), upper=reading.point(SceneError, "upper", self.upper))
-        for axis, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
-            if not high > low:
-                raise SceneError(f"upper[{axis}]", f"is {high:g}", f"must be > lower[{axis}] = {low:g}", "swap or widen them")
-
-
-@dataclass(frozen=True)
-class Drone:
-    """A drone: where it starts, what it carries, how it may fly.
-
-    ``end`` is where its route ends: a point, ``"start"``, or None to hover at its last task. ``velocity`` and
-    ``acceleration`` are its state at ``start``, for planning from flight. Limits are on Euclidean norms.
-    """
-
-    id: str
-    start: Point
-    capacity: int
-    radius: float
-    max_speed: float
-    max_acceleration: float
-    max_jerk: float
-    end: Point | str | None = None
-    velocity: Point = (0.0, 0.0, 0.0)
-    acceleration: Point = (0.0, 0.0, 0.0)
-    max_distance: float | None = None
-
-    def __post_init__(self) -> None:
-        reading.text(SceneError, "id", self.id)
-        mend = "capacities are integers >= 0; set 0 to ground the drone"
-        _set(
-            self,
-            start=reading.point(SceneError, "start", self.start),
-            capacity=reading.integer(SceneError, "capacity", self.capacity, least=0, mend=mend),
-            velocity=reading.point(SceneError, "velocity", self.velocity),
-            acceleration=reading.point(SceneError, "acceleration", self.acceleration),
-        )
-        _positive(self, "radius", "max_speed", "max_acceleration", "max_jerk")
-        if self.max_distance is not None:
-            _positive(self, "max_distance")
-        if isinstance(self.end, str) and self.end != "start":
-            raise SceneError("end", f"is {reading.shown(self.end)}", 'must be a point, "start" or null', "name a point")
-        if self.end is not None and self.end != "start":
-            _set(self, end=reading.point(SceneError, "end", self.end))
-        self._check_state("velocity", self.max_speed, "max_speed")
-        self._check_state("acceleration", self.max_acceleration, "max_acceleration")
-
-    def _check_state(self, field: str, limit: float, limit_name: str) -> None:
-        norm = math.hypot(*getattr(self, field))
-        if norm > limit * (1 + 1e-6):
-            raise SceneError(field, f"has norm {norm:g}", f"must be <= {limit_name} = {limit:g}", "slow it or raise the limit")
-
-    @property
-    def end_point(self) -> Point | None:
-        """Where the route ends, or None when it ends at the last task."""
-        return self.start if self.end == "start" else self.end  # type: ignore[return-value]
-
-
-@dataclass(frozen=True)
-class Task:
-    """A point to visit once; with ``service_time`` > 0 the drone holds still there for that many seconds."""
-
-    id: str
-    position: Point
-    demand: int = 1
-    service_time: float = 0.0
-
-    def __post_init__(self) -> None:
-        reading.text(SceneError, "id", self.id)
-        _set(
-            self,
-            position=reading.point(SceneError, "position", self.position),
-            demand=reading.integer(SceneError, "demand", self.demand, least=1),
-            service_time=reading.number(SceneError, "service_time", self.service_time, least=0.0),
-        )
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box of full ``size``, turned by ``yaw`` radians about the vertical through its centre."""
-
-    id: str
-    center: Point
-    size: Point
-    yaw: float = 0.0
-    shape: ClassVar[str] = "box"
-
-    def __post_init__(self) -> None:
-        reading.text(SceneError, "id", self.id)
-        _set(
-            self,
-            center=reading.point(SceneError, "center", self.center),
-            size=reading.point(SceneError, "size", self.size),
-            yaw=reading.number(SceneError, "yaw", self.yaw),
-        )
-        for axis in range(3):
-            mend = "remove the obstacle or give it a size"
-            reading.number(SceneError, f"size[{axis}]", self.size[axis], above=0.0, mend=mend)
-
-    def row(self) -> tuple[float, ...]:
-        """Its row in an obstacle table (`flockopt.geometry.OBSTACLE_COLUMNS`)."""
-        return (BOX, *self.center, *(side / 2 for side in self.size), math.cos(self.yaw), math.sin(self.yaw))
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """An upright cylinder; ``center`` is its geometric centre."""
-
-    id: str
-    center: Point
-    radius: float
-    height: float
-    shape: ClassVar[str] = "cylinder"
-
-    def __post_init__(self) -> None:
-        reading.text(SceneError, "id", self.id)
-        _set(self, center=reading.point(SceneError, "center", self.center))
-        _positive(self, "radius", "height")
-
-    def row(self) -> tuple[float, ...]:
-        """Its row in an obstacle table (`flockopt.geometry.OBSTACLE_COLUMNS`)."""
-        return (CYLINDER, *self.center, self.radius, self.radius, self.height / 2, 1.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Sphere:
-    """A ball."""
-
-    id: str
-    center: Point
-    radius: float
-    shape: ClassVar[str] = "sphere"
-
-    def __post_init__(self) -> None:
-        reading.text(SceneError, "id", self.id)
-        _set(self, center=reading.point(SceneError, "center", self.center))
-        _positive(self, "radius")
-
-    def row(self) -> tuple[float, ...]:
-        """Its row in an obstacle table (`flockopt.geometry.OBSTACLE_COLUMNS`)."""
-        return (SPHERE, *self.center, self.radius, self.radius, self.radius, 1.0, 0.0)
-
-
-Obstacle: TypeAlias = Box | Cylinder | Sphere
-SHAPES: dict[str, type[Box] | type[Cylinder] | type[Sphere]] = {kind.shape: kind for kind in (Box, Cylinder, Sphere)}
+#: Younger than the format, as `scene_parts.LATER_DRONE_KEYS` are.
+LATER_SCENE_KEYS = ("origin",)
 
 
 @dataclass(frozen=True)
@@ -211,17 +66,18 @@ class Scene:
     clearance: float = 0.0
     separation: float = 0.0
     separation_z: float | None = None
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         reading.text(SceneError, "name", self.name)
-        _set(
+        set_fields(
             self,
             drones=tuple(self.drones), tasks=tuple(self.tasks), obstacles=tuple(self.obstacles),
             clearance=reading.number(SceneError, "clearance", self.clearance, least=0.0),
             separation=reading.number(SceneError, "separation", self.separation, least=0.0),
         )  # fmt: skip
         if self.separation_z is not None:
-            _positive(self, "separation_z")
+            require_positive(self, "separation_z")
             if self.separation == 0.0:
                 raise SceneError("separation", "is 0", "must be > 0 where separation_z is given", "give both or neither")
         if not self.drones:
@@ -307,18 +163,21 @@ class Scene:
             raise SceneError("format", f"is {reading.shown(record['format'])}", f'must be "{FORMAT}"', "convert the file")
         fields = reading.keys(SceneError, record, ("format", *_required(cls)), _optional(cls))
         values = {key: value for key, value in fields.items() if key != "format"}
-        try:
-            values["bounds"] = _from_fields(Bounds, values["bounds"])
-        except SceneError as fault:
-            raise fault.within("bounds") from None
+        values["bounds"] = _nested("bounds", Bounds, values["bounds"])
+        if values.get("origin") is not None:
+            values["origin"] = _nested("origin", Origin, values["origin"])
         values["drones"] = reading.objects(SceneError, "drones", values["drones"], lambda item: _from_fields(Drone, item))
         values["tasks"] = reading.objects(SceneError, "tasks", values["tasks"], lambda item: _from_fields(Task, item))
         values["obstacles"] = reading.objects(SceneError, "obstacles", values["obstacles"], _obstacle)
         return cls(**values)
 
     def to_dict(self) -> dict[str, Any]:
-        """The canonical JSON object: every default filled in."""
+        """The canonical JSON object: every default filled in, but for unused keys that are younger than the format."""
         record = dataclasses.asdict(self)
+        for owner, names in ((record, LATER_SCENE_KEYS), *((drone, LATER_DRONE_KEYS) for drone in record["drones"])):
+            for name in names:
+                if owner[name] is None:
+                    del owner[name]
         record["obstacles"] = [{"shape": kind.shape, **dataclasses.asdict(kind)} for kind in self.obstacles]
         return {"format": FORMAT, **json.loads(json.dumps(record))}
 
@@ -344,7 +203,7 @@ class Scene:
         places += [
             (f"drones[{i}].end", drone.end, drone.radius)
             for i, drone in enumerate(self.drones)
-            if drone.end is not None and drone.end != "start"
+            if isinstance(drone.end, tuple)
         ]
         places += [(f"tasks[{j}].position", task.position, smallest) for j, task in enumerate(self.tasks)]
         points = np.array([place for _, place, _ in places])
@@ -398,6 +257,13 @@ def _optional(record: type) -> tuple[str, ...]:
 
 def _from_fields(record: type, item: Any) -> Any:
     return record(**reading.keys(SceneError, item, _required(record), _optional(record)))
+
+
+def _nested(field: str, record: type, item: Any) -> Any:
+    try:
+        return _from_fields(record, item)
+    except SceneError as fault:
+        raise fault.within(field) from None
 
 
 def _obstacle(item: Any) -> Obstacle:

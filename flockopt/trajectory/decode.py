@@ -153,7 +153,7 @@ class _Room:
             needs=need + np.clip(0.2 * slack, 0.0, ROOM_RESERVE_M),
             lower=np.array(scene.bounds.lower),
             upper=np.array(scene.bounds.upper),
-            limits=LIMIT_SHARE * np.array([drone.max_speed, drone.max_acceleration, drone.max_jerk]),
+            limits=LIMIT_SHARE * np.array([drone.max_speed, drone.flyable_acceleration, drone.max_jerk]),
             velocity=np.array(drone.velocity),
             acceleration=np.array(drone.acceleration),
         )
@@ -216,13 +216,13 @@ class _Trial:
 
 
 def _widened(trial: _Trial, room: _Room) -> _Trial:
-    """The trial with close corners merged as long as that saves time."""
+    """The trial with close corners merged as long as that saves time, or pieces of which there are too many."""
     from flockopt.trajectory.corners import merged_corners
 
     while True:
         ways = merged_corners(trial.waypoints, room.table, room.boxes, room.needs, room.lower, room.upper)
-        best = min((_Trial.make(way, room) for way in ways), key=lambda other: other.seconds, default=trial)
-        if best.seconds >= trial.seconds:
+        best = min((_Trial.make(way, room) for way in ways), key=lambda other: other.seconds, default=None)
+        if best is None or (best.seconds >= trial.seconds and len(trial.coefficients) <= MOST_PIECES):
             return trial
         trial = best
 
