@@ -142,7 +142,7 @@ def _summary(records: list[dict[str, object]]) -> str:
     columns += [f"{stage} ms" for stage in STAGES[:-1]] + ["plan ms", "p95 ms"]
     certified = sum(bool(record["certified"]) for record in records)
     failures = [
-        f"- {record['family']} {record['drones']}x{record['tasks']} seed {record['seed']}: {record['status']} {record['failed']}"
+        "- {family} {drones}x{tasks} seed {seed}: {status} {failed}".format_map(record)
         for record in records
         if not record["certified"]
     ]

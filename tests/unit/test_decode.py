@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flockopt import Box, Bundles, Cylinder, SettingsError, Task, compute_travel, decode, generate
+from flockopt import Box, Bundles, Cylinder, SettingsError, Task, compute_travel, decode, generate, refine_bundles
 from flockopt.continuous import least_clearance
 from tests.flights import check_flights, drone, in_order, make_scene
 
@@ -13,9 +13,12 @@ from tests.flights import check_flights, drone, in_order, make_scene
 @pytest.mark.parametrize("family", ["forest", "corridor", "warehouse", "rooms", "city"])
 def test_flights_through_family_scenes_are_clear_and_within_limits(family: str):
     scene = generate(family, drones=4, tasks=12, seed=5)
-    flights = decode(scene, in_order(scene))
+    bundles = refine_bundles(scene)
+    flights = decode(scene, bundles)
     check_flights(scene, flights)
-    assert [visit.task for visit in flights["d0"].visits] == [scene.tasks[j].id for j in in_order(scene)[0]]
+    for record, route in zip(scene.drones, bundles, strict=True):
+        visits = flights[record.id].visits if record.id in flights else ()
+        assert [visit.task for visit in visits] == [scene.tasks[j].id for j in route]
     assert max(flight.curve.num_pieces for flight in flights.values()) <= 31
 
 
