@@ -60,6 +60,9 @@ RESOLUTION_M = 1e-7
 #: Curves that reach farther than this are not judged any further: rounding would decide.
 LARGEST_COORDINATE_M = 1e6
 
+#: Clauses that fail without a closer look where a curve does.
+IN_SPACE = ("visits", "limits", "bounds", "clearance", "separation")
+
 LIMITS = (("speed", "max_speed", "m/s"), ("acceleration", "max_acceleration", "m/s²"), ("jerk", "max_jerk", "m/s³"))
 
 
@@ -79,7 +82,23 @@ def certify(scene: Scene, plan: Plan, *, travel: Travel | None = None, bound: Bo
     proof = bound if bound is not None else plan.certificate.bound if plan.certificate is not None else None
     case = Case(scene, plan, compute_travel(scene) if travel is None else travel, proof)
     with np.errstate(over="ignore", invalid="ignore"):  # a hostile plan's overflows fail the clauses they are in
-        return Certificate(tuple(JUDGES[name](case) for name in CLAUSES), proof)
+        wild = _wild_drone(case)
+        clauses = (JUDGES[name](case) if wild is None or name not in IN_SPACE else _wild(name, wild) for name in CLAUSES)
+        return Certificate(tuple(clauses), proof)
+
+
+def _wild_drone(case: Case) -> str | None:
+    """A drone whose curve reaches beyond all measure."""
+    for drone, control in zip(case.scene.drones, case.controls, strict=True):
+        if not np.abs(control).max() <= LARGEST_COORDINATE_M:
+            return drone.id
+    return None
+
+
+def _wild(name: str, drone: str) -> Clause:
+    worst = Worst()
+    worst.see(-math.inf, drone=drone, detail=f"drone {drone} reaches beyond {LARGEST_COORDINATE_M:g} m")
+    return worst.clause(name, "m")
 
 
 def _coverage(case: Case) -> Clause:
@@ -148,21 +167,21 @@ def _start_parked(worst: Worst, drone: Drone) -> None:
 
 def _start_flying(worst: Worst, drone: Drone, curve: Curve, first: FloatArray, last: FloatArray) -> None:
     """Its first and last position, velocity and acceleration, (3, 3) each."""
-    wanted = np.array([drone.start, drone.velocity, drone.acceleration])
+    wanted = (drone.start, drone.velocity, drone.acceleration)
     names = ("position", "velocity", "acceleration")
     for name, seen, due, tolerance in zip(names, first, wanted, STATE_TOLERANCES, strict=True):
-        away = float(np.linalg.norm(seen - due))
+        away = math.dist(seen, due)
         detail = f"drone {drone.id} begins with its {name} {away:g} off its start state"
         worst.see(1.0 - away / tolerance, drone=drone.id, time=curve.start_time, place=to_point(first[0]), detail=detail)
-    if curve.start_time > TIME_TOLERANCE_S and wanted[1:].any():
+    if curve.start_time > TIME_TOLERANCE_S and any((*drone.velocity, *drone.acceleration)):
         detail = f"drone {drone.id} starts in motion, so its trajectory must begin at t = 0"
         worst.see(-1.0, drone=drone.id, time=curve.start_time, detail=detail)
     for name, seen, tolerance in zip(names[1:], last[1:], STATE_TOLERANCES[1:], strict=True):
-        away = float(np.linalg.norm(seen))
+        away = math.hypot(*seen)
         detail = f"drone {drone.id} ends with {name} {away:g}, not at rest"
         worst.see(1.0 - away / tolerance, drone=drone.id, time=curve.end_time, place=to_point(last[0]), detail=detail)
     if drone.end_point is not None:
-        away = float(np.linalg.norm(last[0] - drone.end_point))
+        away = math.dist(last[0], drone.end_point)
         detail = f"drone {drone.id} ends {away:g} m from its end"
         worst.see(1.0 - away / VISIT_TOLERANCE_M, drone=drone.id, time=curve.end_time, place=to_point(last[0]), detail=detail)
 
@@ -315,29 +334,15 @@ def _error(claimed: float | None, actual: float | None) -> float:
     return abs(claimed - actual) / max(abs(actual), 1.0)
 
 
-def _unless_wild(judge: Callable[[Case], Clause]) -> Callable[[Case], Clause]:
-    """The clause of a plan whose curves reach beyond all measure fails without a closer look."""
-
-    def judged(case: Case) -> Clause:
-        for drone, control in zip(case.scene.drones, case.controls, strict=True):
-            if not np.abs(control).max() <= LARGEST_COORDINATE_M:
-                worst = Worst()
-                worst.see(-math.inf, drone=drone.id, detail=f"drone {drone.id} reaches beyond {LARGEST_COORDINATE_M:g} m")
-                return worst.clause(judge.__name__.removeprefix("_"), "m")
-        return judge(case)
-
-    return judged
-
-
 JUDGES: dict[str, Callable[[Case], Clause]] = {
     "coverage": _coverage,
     "capacity": _capacity,
     "start": _start,
-    "visits": _unless_wild(_visits),
+    "visits": _visits,
     "continuity": _continuity,
-    "limits": _unless_wild(_limits),
-    "bounds": _unless_wild(_bounds),
-    "clearance": _unless_wild(_clearance),
-    "separation": _unless_wild(_separation),
+    "limits": _limits,
+    "bounds": _bounds,
+    "clearance": _clearance,
+    "separation": _separation,
     "bound": _bound,
 }
