@@ -15,23 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from flockopt.bundles import Bundles
-from flockopt.curve import Curve, Flight, Visit
+from flockopt.curve import Curve, Flight
 from flockopt.errors import SettingsError
-from flockopt.geometry import FloatArray, bounding_boxes, distances
+from flockopt.geometry import FloatArray
 from flockopt.scene import Drone, Scene
+from flockopt.trajectory.room import MOST_PIECES, Room
 from flockopt.trajectory.waypoints import FLY_THROUGH, Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
 from flockopt.travel import Travel, compute_travel
 
 __all__ = ["LAWS", "decode", "fly"]
-
-#: Limits are used to this share, so that rounding never carries a flight over them.
-LIMIT_SHARE = 0.999
-
-#: Extra room kept from obstacles where the waypoints have it, metres.
-ROOM_RESERVE_M = 1e-3
-
-#: Pieces a Crazyflie's trajectory memory holds; flights are made to fit it where that is possible.
-MOST_PIECES = 31
 
 #: Slower legs tried beside a fault, as shares of the speed they had, before stopping is considered.
 SLOWER_SHARES = (0.7, 0.45)
@@ -95,7 +87,7 @@ def fly(scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | 
     """
     if not waypoints.moves:
         return _stay(scene, drone, waypoints)
-    room = _Room.around(scene, drone, waypoints, avoided)
+    room = Room.around(scene, drone, waypoints, avoided)
     best = _mended(_widened(_Trial.make(waypoints, room), room), room)
     if drone.max_distance is not None and Curve(best.breakpoints, best.coefficients).length > drone.max_distance:
         best = _Trial.make(replace(waypoints, rest_s=np.maximum(waypoints.rest_s, 0.0)), room)
@@ -113,50 +105,10 @@ def _stay(scene: Scene, drone: Drone, waypoints: Waypoints) -> Flight:
         there = start + np.array(drone.velocity) * drone.max_speed / drone.flyable_acceleration
         rest_s = np.array([FLY_THROUGH, FLY_THROUGH, 0.0])
         loop = Waypoints(np.array([start, there, start]), rest_s, ((), (), waypoints.tasks[0]))
-        return _Trial.make(loop, _Room.around(scene, drone, loop)).flight(scene)
+        return _Trial.make(loop, Room.around(scene, drone, loop)).flight(scene)
     seconds = max(float(waypoints.rest_s[0]), SHORTEST_FLIGHT_S)
     curve = Curve(np.array([0.0, seconds]), waypoints.points[0].reshape(1, 3, 1))
-    return Flight(curve, tuple(_visits(scene, waypoints.tasks[0], 0.0)))
-
-
-def _visits(scene: Scene, tasks: tuple[int, ...], time: float) -> Iterator[Visit]:
-    """Visits to the tasks served one after another at one point that is reached at ``time``."""
-    for task in tasks:
-        yield Visit(scene.tasks[task].id, time)
-        time += scene.tasks[task].service_time
-
-
-@dataclass(frozen=True)
-class _Room:
-    """What one drone's curve must keep to."""
-
-    table: FloatArray  # (K, 9)
-    boxes: FloatArray  # (K, 2, 3) m
-    needs: FloatArray  # (K,) m
-    lower: FloatArray  # (3,) m
-    upper: FloatArray  # (3,) m
-    limits: FloatArray  # (3,) speed, acceleration, jerk
-    velocity: FloatArray  # (3,) m/s at the start
-    acceleration: FloatArray  # (3,) m/s2 at the start
-
-    @classmethod
-    def around(cls, scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None) -> _Room:
-        need = drone.radius + scene.clearance
-        table, boxes = scene.obstacle_table, scene.obstacle_boxes
-        if avoided is not None and len(avoided):
-            table = np.vstack([table, avoided])
-            boxes = bounding_boxes(table)
-        slack = distances(table, waypoints.points).min(axis=0) - need if len(table) else np.zeros(0)
-        return cls(
-            table=table,
-            boxes=boxes,
-            needs=need + np.clip(0.2 * slack, 0.0, ROOM_RESERVE_M),
-            lower=np.array(scene.bounds.lower),
-            upper=np.array(scene.bounds.upper),
-            limits=LIMIT_SHARE * np.array([drone.max_speed, drone.flyable_acceleration, drone.max_jerk]),
-            velocity=np.array(drone.velocity),
-            acceleration=np.array(drone.acceleration),
-        )
+    return Flight(curve, waypoints.visits(scene, np.zeros(1)))
 
 
 @dataclass(frozen=True)
@@ -171,7 +123,7 @@ class _Trial:
     fault: int  # owner of the first piece that is not clear (2 k: around point k, 2 k + 1: the leg after it), or -1
 
     @classmethod
-    def make(cls, waypoints: Waypoints, room: _Room, caps: FloatArray | None = None, unwanted: int = 0) -> _Trial:
+    def make(cls, waypoints: Waypoints, room: Room, caps: FloatArray | None = None, unwanted: int = 0) -> _Trial:
         from flockopt.continuous import curve_clear
         from flockopt.trajectory.blend import first_outside, fly_polyline
 
@@ -191,13 +143,8 @@ class _Trial:
         return float(self.breakpoints[-1])
 
     def flight(self, scene: Scene) -> Flight:
-        """The flight with its visits; a rest begins when the drone has come to a halt."""
-        visits = [
-            visit
-            for tasks, time in zip(self.waypoints.tasks, self.times, strict=True)
-            for visit in _visits(scene, tasks, float(time))
-        ]
-        return Flight(Curve(self.breakpoints, self.coefficients), tuple(visits))
+        """The flight with its visits."""
+        return Flight(Curve(self.breakpoints, self.coefficients), self.waypoints.visits(scene, self.times))
 
     def alternatives(self) -> Iterator[tuple[Waypoints, FloatArray]]:
         """Ways to swing less at the fault: slower legs beside it, or a stop at the points beside it."""
@@ -215,7 +162,7 @@ class _Trial:
             yield replace(self.waypoints, rest_s=rest_s), self.caps
 
 
-def _widened(trial: _Trial, room: _Room) -> _Trial:
+def _widened(trial: _Trial, room: Room) -> _Trial:
     """The trial with close corners merged as long as that saves time, or pieces of which there are too many."""
     from flockopt.trajectory.corners import merged_corners
 
@@ -227,7 +174,7 @@ def _widened(trial: _Trial, room: _Room) -> _Trial:
         trial = best
 
 
-def _shortened(trial: _Trial, room: _Room) -> _Trial:
+def _shortened(trial: _Trial, room: Room) -> _Trial:
     """The trial with fewer pieces where it has more than `MOST_PIECES`: cruises are given up, shortest first."""
     excess = 0 if np.any(room.velocity) else len(trial.coefficients) - MOST_PIECES
     for unwanted in range(excess, len(trial.caps) + 1) if excess > 0 else ():
@@ -237,7 +184,7 @@ def _shortened(trial: _Trial, room: _Room) -> _Trial:
     return trial
 
 
-def _mended(trial: _Trial, room: _Room) -> _Trial:
+def _mended(trial: _Trial, room: Room) -> _Trial:
     """The trial with its faults mended one after another, each in the way that costs least time."""
     rounds = 4 * len(trial.caps)
     while trial.fault >= 0 and rounds > 0:

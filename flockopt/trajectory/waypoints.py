@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from flockopt.curve import Visit
 from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray
 from flockopt.scene import Scene
@@ -67,6 +68,19 @@ class Waypoints:
     def moves(self) -> bool:
         """Whether there is more than one point."""
         return len(self.points) > 1
+
+    def visits(self, scene: Scene, times: FloatArray) -> tuple[Visit, ...]:
+        """Visits to all tasks when the points are reached at ``times`` (n + 1,) s.
+
+        Tasks at one point are served one after another; the first begins when the drone has come to a halt.
+        """
+        visits = []
+        for tasks, time in zip(self.tasks, times, strict=True):
+            begin_s = float(time)
+            for task in tasks:
+                visits.append(Visit(scene.tasks[task].id, begin_s))
+                begin_s += scene.tasks[task].service_time
+        return tuple(visits)
 
 
 def waypoints_from_paths(scene: Scene, travel: Travel, drone: int, route: Sequence[int]) -> Waypoints:
