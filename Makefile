@@ -11,7 +11,7 @@ READY := $(VENV)/.ready
 UV := uv==0.13.9
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow lint bench format lock clean
+.PHONY: help demo test test-slow lint bench pictures format lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /make \1\t/' | expand -t 18
@@ -42,6 +42,10 @@ lint: $(READY)  ## check style, formatting and types
 
 bench: $(READY)  ## run every benchmark on a few small scenes
 	$(RUN) -m benchmarks.planning --scenes 1 --seed 0 --sizes 4x8 --out out/bench/planning
+
+pictures: demo  ## draw the pictures of the README and docs anew
+	$(RUN) -m flockopt show examples/scenes/rotterdam.json out/rotterdam.plan.json -o docs/images/rotterdam.png
+	$(RUN) docs/draw_families.py docs/images/families.png
 
 format: $(READY)  ## mend what the formatter and the linter can mend
 	$(RUN) -m ruff check --fix .
