@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from flockopt.allocate import forest
-from flockopt.allocate.pricing import ascend_prices, evaluate, group_drones
+from flockopt.allocate.pricing import ascend_prices, evaluate, group_drones, travel_ceiling
 from flockopt.bundles import Bound
 from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray
@@ -59,15 +59,17 @@ def rooted_forest_bound(scene: Scene, travel: Travel, upper: float = math.inf) -
 def held_karp_bound(scene: Scene, travel: Travel, upper: float = math.inf, rounds: int = HELD_KARP_ROUNDS) -> Bound:
     """The rooted forest under prices on a task's third neighbour (M,) and on a start's second route (N,)."""
     starts, between = _forest_costs(scene, travel)
-    dual = forest.ascend(starts, between, rounds, upper)
+    dual = forest.ascend(starts, between, rounds, min(upper, travel_ceiling(travel)))
     value = forest.forest_value(starts, between, *np.split(dual, [scene.num_tasks]))
     return Bound("held-karp-forest", value, dual)
 
 
 def ng_route_bound(scene: Scene, travel: Travel, upper: float = math.inf, rounds: int = NG_ROUNDS) -> Bound:
     """The Lagrangian of all ng-routes within the capacities; its vector is a price for each task (M,)."""
-    prices = first_prices(scene, travel, upper)
-    groups = group_drones(scene, travel)
+    if not scene.num_tasks:
+        return Bound("ng-route", 0.0, np.empty(0))
+    upper = min(upper, travel_ceiling(travel))
+    groups, prices = group_drones(scene, travel), first_prices(scene, travel, upper)
     prices = ascend_prices(groups, prices, rounds=rounds, upper=upper)
     return Bound("ng-route", evaluate(groups, prices)[0], prices)
 

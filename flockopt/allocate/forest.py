@@ -129,14 +129,19 @@ def _gradient(degrees: NDArray[np.int64], rooted: NDArray[np.bool_], owners: NDA
 
 @njit(cache=True)
 def _turn(direction: FloatArray, gradient: FloatArray, prices: FloatArray, share: float) -> float:
-    """Mix the gradient into the direction, drop what would leave the positive prices; squared norm of the rest."""
-    norm = 0.0
+    """Mix the gradient into the direction, both without what would leave the positive prices; the larger squared norm.
+
+    It is 0 where no price can rise: at the maximum.
+    """
+    steepest, norm = 0.0, 0.0
     for k in range(direction.shape[0]):
+        if prices[k] > 0.0 or gradient[k] > 0.0:
+            steepest += gradient[k] ** 2
         direction[k] = share * gradient[k] + (1.0 - share) * direction[k]
         if prices[k] <= 0.0 and direction[k] < 0.0:
             direction[k] = 0.0
         norm += direction[k] ** 2
-    return norm
+    return max(steepest, norm) if steepest > 0.0 else 0.0
 
 
 @njit(cache=True)

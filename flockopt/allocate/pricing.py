@@ -18,7 +18,7 @@ from flockopt.geometry import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["NEIGHBOURS", "DroneGroup", "ascend_prices", "evaluate", "group_drones", "grow"]
+__all__ = ["NEIGHBOURS", "DroneGroup", "ascend_prices", "evaluate", "group_drones", "grow", "travel_ceiling"]
 
 #: Tasks in an ng-neighbourhood, itself included.
 NEIGHBOURS = 8
@@ -81,6 +81,16 @@ def group_drones(scene: Scene, travel: Travel, size: int = NEIGHBOURS) -> list[D
     return groups
 
 
+def travel_ceiling(travel: Travel) -> float:
+    """Metres that no allocation exceeds: every task reached by its longest leg, every drone's longest way to its end.
+
+    A bound above it shows that there is no allocation at all. Prices that rise no further stay free of rounding.
+    """
+    legs = np.concatenate([travel.start_task, *travel.task_task], axis=0)
+    ends = np.column_stack([travel.task_end, travel.start_end])
+    return sum(float(np.where(np.isfinite(part), part, 0.0).max(axis=axis).sum()) for part, axis in ((legs, 0), (ends, 1)))
+
+
 def grow(group: DroneGroup, prices: FloatArray, initial: FloatArray | None = None) -> Labels:
     """The group's labels under task prices (M,), from ``initial`` if other than its own."""
     first = group.initial if initial is None else initial
@@ -121,13 +131,15 @@ def ascend_prices(
             best, best_prices = value, prices
         if stale >= PATIENCE:
             reach, stale = 0.5 * reach, 0
-        share = DIRECTION_SHARE if step else 1.0
-        direction = share * (1.0 - visits) + (1.0 - share) * direction
-        direction[(prices <= 0.0) & (direction < 0.0)] = 0.0
-        norm = float(direction @ direction)
+        gradient = 1.0 - visits
+        gradient[(prices <= 0.0) & (gradient < 0.0)] = 0.0
         late = deadline is not None and time.monotonic() > deadline
-        if norm == 0.0 or reach < LEAST_REACH or late:
+        if not gradient.any() or reach < LEAST_REACH or late:
             break
+        share = DIRECTION_SHARE if step else 1.0
+        direction = share * gradient + (1.0 - share) * direction
+        direction[(prices <= 0.0) & (direction < 0.0)] = 0.0
         target = min(best * (1.0 + reach), max(upper, best))
-        prices = np.maximum(0.0, prices + (target - value) / norm * direction)
+        length = (target - value) / max(float(direction @ direction), float(gradient @ gradient))
+        prices = np.maximum(0.0, prices + length * direction)
     return best_prices
