@@ -32,6 +32,9 @@ __all__ = ["Planner", "Proposal", "Request", "plan", "planner_names"]
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
 ALLOCATION_SHARE = 0.7
 
+#: Travel below this is none: its gap to a bound of zero is zero, while any other has none.
+NO_TRAVEL_M = 1e-6
+
 ENTRY_POINTS = "flockopt.planners"
 
 Progress = Callable[[str, float], None]
@@ -177,7 +180,7 @@ def _draft(scene: Scene, planner: str, bundles: Bundles) -> Plan:
 
 def _cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: Bound) -> Cost:
     total = travel.total(bundles.routes)
-    gap = (total - proof.value) / proof.value if proof.value > 0.0 else 0.0
+    gap = (total - proof.value) / proof.value if proof.value > 0.0 else 0.0 if total <= NO_TRAVEL_M else None
     return Cost(
         length=sum(flight.curve.length for flight in flights.values()),
         travel=total,
