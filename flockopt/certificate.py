@@ -13,12 +13,15 @@ from flockopt.bundles import Bound
 from flockopt.errors import PlanError
 from flockopt.scene import Point
 
-__all__ = ["CLAUSES", "Certificate", "Clause"]
+__all__ = ["CLAUSES", "FLYABILITY", "Certificate", "Clause"]
 
 #: Every clause, in the order in which a certificate lists them (docs/certificate.md).
 CLAUSES = (
     "coverage", "capacity", "start", "visits", "continuity", "limits", "bounds", "clearance", "separation", "bound",
 )  # fmt: skip
+
+#: The clause that comes last where the scene says what a drone's rotors can do.
+FLYABILITY = "flyability"
 
 #: Which ids and words a clause may name.
 WORDS = ("drone", "other_drone", "task", "obstacle", "detail")
@@ -29,7 +32,7 @@ class Clause:
     """One thing that must hold of a plan, and where it is tightest.
 
     Attributes:
-        name: One of `CLAUSES`.
+        name: One of `CLAUSES`, or `FLYABILITY`.
         holds: Whether it does.
         margin: What is left before it fails, negative where it fails, in ``unit``; infinite where there is nothing
             to check.
@@ -79,8 +82,8 @@ class Clause:
     def from_dict(cls, item: Any) -> Clause:
         """A clause from its JSON object, read strictly."""
         record = dict(reading.keys(PlanError, item, ("name", "holds", "margin", "unit"), ("time", "place", *WORDS)))
-        if record["name"] not in CLAUSES:
-            rule = f"must be one of {', '.join(CLAUSES)}"
+        if record["name"] not in (*CLAUSES, FLYABILITY):
+            rule = f"must be one of {', '.join((*CLAUSES, FLYABILITY))}"
             raise PlanError("name", f"is {reading.shown(record['name'])}", rule, "correct its spelling")
         if not isinstance(record["holds"], bool):
             raise PlanError("holds", f"is {reading.shown(record['holds'])}", "must be true or false", "judge the plan anew")
@@ -101,7 +104,7 @@ class Certificate:
     """The judgement of a plan.
 
     Attributes:
-        clauses: One of each, in the order of `CLAUSES`.
+        clauses: One of each, in the order of `CLAUSES`, and `FLYABILITY` where it is judged.
         bound: What proves the lower bound, None where none is claimed.
     """
 
@@ -119,7 +122,7 @@ class Certificate:
         return tuple(clause for clause in self.clauses if not clause.holds)
 
     def __getitem__(self, name: str) -> Clause:
-        return self.clauses[CLAUSES.index(name)]
+        return {clause.name: clause for clause in self.clauses}[name]
 
     def to_dict(self) -> dict[str, Any]:
         """Its JSON object."""
@@ -134,9 +137,9 @@ class Certificate:
         record = reading.keys(PlanError, item, ("clauses", "bound"))
         clauses = reading.objects(PlanError, "clauses", record["clauses"], Clause.from_dict)
         names = tuple(clause.name for clause in clauses)
-        if names != CLAUSES:
-            shown = reading.shown(names)
-            raise PlanError("clauses", f"are {shown}", f"must be {', '.join(CLAUSES)}, in this order", "judge the plan anew")
+        if names not in (CLAUSES, (*CLAUSES, FLYABILITY)):
+            rule = f"must be {', '.join(CLAUSES)}, in this order, then {FLYABILITY} where it is judged"
+            raise PlanError("clauses", f"are {reading.shown(names)}", rule, "judge the plan anew")
         try:
             return cls(clauses, None if record["bound"] is None else _bound(record["bound"]))
         except PlanError as fault:

@@ -15,11 +15,13 @@ import numpy as np
 
 from flockopt.bernstein import largest_norm, least_margin
 from flockopt.bundles import Bound
-from flockopt.certificate import CLAUSES, Certificate, Clause
-from flockopt.continuous import farthest_from, least_clearance, least_separation
+from flockopt.certificate import CLAUSES, FLYABILITY, Certificate, Clause
+from flockopt.continuous import farthest_from
 from flockopt.curve import Curve
-from flockopt.errors import PlanError
-from flockopt.geometry import FloatArray, bounding_boxes
+from flockopt.engines import ENGINES
+from flockopt.errors import PlanError, SettingsError
+from flockopt.flyability import judge_flyability
+from flockopt.geometry import FloatArray
 from flockopt.judging import Case, Worst, check_names, to_point
 from flockopt.planfile import Plan
 from flockopt.proof import recompute_bound
@@ -54,19 +56,18 @@ SEPARATION_TOLERANCE_M = 1e-6
 #: Costs may differ from what is recomputed by this fraction, or by this much where they are smaller than one.
 COST_TOLERANCE = 1e-6
 
-#: Least margins over time are found to this much, always on the safe side.
-RESOLUTION_M = 1e-7
-
 #: Curves that reach farther than this are not judged any further: rounding would decide.
 LARGEST_COORDINATE_M = 1e6
 
 #: Clauses that fail without a closer look where a curve does.
-IN_SPACE = ("visits", "limits", "bounds", "clearance", "separation")
+IN_SPACE = ("visits", "limits", "bounds", "clearance", "separation", FLYABILITY)
 
 LIMITS = (("speed", "max_speed", "m/s"), ("acceleration", "max_acceleration", "m/s²"), ("jerk", "max_jerk", "m/s³"))
 
 
-def certify(scene: Scene, plan: Plan, *, travel: Travel | None = None, bound: Bound | None = None) -> Certificate:
+def certify(
+    scene: Scene, plan: Plan, *, travel: Travel | None = None, bound: Bound | None = None, engine: str = "closed-form"
+) -> Certificate:
     """Judge a plan.
 
     Args:
@@ -74,16 +75,23 @@ def certify(scene: Scene, plan: Plan, *, travel: Travel | None = None, bound: Bo
         plan: The plan; its status, cost and certificate are only claims.
         travel: The scene's travel, if it is at hand; computed otherwise.
         bound: What proves the plan's lower bound, where its certificate does not hold that yet.
+        engine: What finds the least clearance and separation: ``"closed-form"``, or ``"fcl"`` for python-fcl's distances.
 
     Raises:
         PlanError: If the plan is for another scene, or names a drone or a task that the scene does not have.
+        SettingsError: If there is no such engine.
+        MissingExtra: If python-fcl is asked for and not installed.
     """
+    if engine not in ENGINES:
+        raise SettingsError("engine", f"is {engine!r}", f"must be one of {', '.join(ENGINES)}", "choose one")
     check_names(scene, plan)
     proof = bound if bound is not None else plan.certificate.bound if plan.certificate is not None else None
     case = Case(scene, plan, compute_travel(scene) if travel is None else travel, proof)
+    judges = JUDGES | _in_space(engine)
+    names = CLAUSES if not any(drone.has_abilities for drone in scene.drones) else (*CLAUSES, FLYABILITY)
     with np.errstate(over="ignore", invalid="ignore"):  # a hostile plan's overflows fail the clauses they are in
         wild = _wild_drone(case)
-        clauses = (JUDGES[name](case) if wild is None or name not in IN_SPACE else _wild(name, wild) for name in CLAUSES)
+        clauses = (judges[name](case) if wild is None or name not in IN_SPACE else _wild(name, wild) for name in names)
         return Certificate(tuple(clauses), proof)
 
 
@@ -242,46 +250,26 @@ def _bounds(case: Case) -> Clause:
     return worst.clause("bounds", "m", BOUNDS_TOLERANCE_M)
 
 
-def _clearance(case: Case) -> Clause:
-    worst = Worst()
-    table = case.scene.obstacle_table
-    boxes = bounding_boxes(table)
-    for i, drone in enumerate(case.scene.drones if len(table) else ()):
-        needs = np.full(len(table), drone.radius + case.scene.clearance)
-        margin, time, k = least_clearance(table, boxes, needs, *case.curves[i], RESOLUTION_M)
-        if not worst.lets(margin):
-            obstacle, place = case.scene.obstacles[k].id, case.place(i, time)
-            detail = f"drone {drone.id} is {-margin:g} m nearer to obstacle {obstacle} than radius + clearance"
-            worst.see(margin, drone=drone.id, obstacle=obstacle, time=time, place=place, detail=detail)
-    return worst.clause("clearance", "m", CLEARANCE_TOLERANCE_M)
+def _in_space(engine: str) -> dict[str, Callable[[Case], Clause]]:
+    """The judges of clearance and separation that ask this engine."""
 
+    def clearance(case: Case) -> Clause:
+        worst, nearest = Worst(), ENGINES[engine].clearance(case)
+        if nearest is not None:
+            drone, obstacle = case.scene.drones[nearest.drone].id, case.scene.obstacles[nearest.other].id
+            detail = f"drone {drone} is {-nearest.margin:g} m nearer to obstacle {obstacle} than radius + clearance"
+            worst.see(nearest.margin, drone=drone, obstacle=obstacle, time=nearest.time, place=nearest.place, detail=detail)
+        return worst.clause("clearance", "m", CLEARANCE_TOLERANCE_M)
 
-def _separation(case: Case) -> Clause:
-    worst = Worst()
-    if case.scene.separation > 0.0:
-        axes, drones = np.array(case.scene.separation_axes), case.scene.drones
-        for gap, i, j in _pairs_by_gap(case, axes):
-            if gap > worst.margin:
-                break
-            margin, time = least_separation(
-                *case.curves[i], *case.curves[j], axes, 0.0, case.makespan, RESOLUTION_M, worst.margin
-            )
-            if time >= 0.0:
-                detail = f"drones {drones[i].id} and {drones[j].id} are {-margin:g} m nearer to each other than the separation"
-                place = case.place(i, time)
-                worst.see(margin, drone=drones[i].id, other_drone=drones[j].id, time=time, place=place, detail=detail)
-    return worst.clause("separation", "m", SEPARATION_TOLERANCE_M)
+    def separation(case: Case) -> Clause:
+        worst, nearest = Worst(), ENGINES[engine].separation(case)
+        if nearest is not None:
+            one, other = case.scene.drones[nearest.drone].id, case.scene.drones[nearest.other].id
+            detail = f"drones {one} and {other} are {-nearest.margin:g} m nearer to each other than the separation"
+            worst.see(nearest.margin, drone=one, other_drone=other, time=nearest.time, place=nearest.place, detail=detail)
+        return worst.clause("separation", "m", SEPARATION_TOLERANCE_M)
 
-
-def _pairs_by_gap(case: Case, axes: FloatArray) -> Iterator[tuple[float, int, int]]:
-    """Pairs of drones, nearest first, with a margin in metres that boxes around their whole curves leave at least."""
-    lowers = np.array([control.min(axis=(0, 2)) for control in case.controls])  # (N, 3) m
-    uppers = np.array([control.max(axis=(0, 2)) for control in case.controls])
-    first, second = np.triu_indices(len(lowers), 1)
-    apart = np.maximum(np.maximum(lowers[first] - uppers[second], lowers[second] - uppers[first]), 0.0) / axes
-    gaps = (np.linalg.norm(apart, axis=1) - 1.0) * axes[0]
-    for pair in np.argsort(gaps, kind="stable"):
-        yield float(gaps[pair]), int(first[pair]), int(second[pair])
+    return {"clearance": clearance, "separation": separation}
 
 
 def _bound(case: Case) -> Clause:
@@ -342,7 +330,6 @@ JUDGES: dict[str, Callable[[Case], Clause]] = {
     "continuity": _continuity,
     "limits": _limits,
     "bounds": _bounds,
-    "clearance": _clearance,
-    "separation": _separation,
     "bound": _bound,
+    FLYABILITY: lambda case: judge_flyability(case, LIMIT_TOLERANCE),
 }

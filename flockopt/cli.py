@@ -27,8 +27,9 @@ PLAN_EXAMPLES = """examples:
 VERIFY_EXAMPLES = """Nothing in the plan's own certificate is believed: coverage, capacities, limits, clearances,
 separations and the lower bound are computed anew, in continuous time, from the scene and the plan's polynomials.
 
-example:
-  flockopt verify scene.json plan.json"""
+examples:
+  flockopt verify scene.json plan.json
+  flockopt verify scene.json plan.json --engine fcl    clearance and separation by python-fcl's distances"""
 
 SHOW_EXAMPLES = """examples:
   flockopt show scene.json -o scene.png
@@ -103,6 +104,10 @@ def _parser() -> argparse.ArgumentParser:
     verify = _command(commands, "verify", "check a plan anew, clause by clause", VERIFY_EXAMPLES, cli_commands.verify)
     verify.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
     verify.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file")
+    verify.add_argument(
+        "--engine", default="closed-form", metavar="NAME", choices=("closed-form", "fcl"),
+        help="what measures clearance and separation: closed-form or fcl (default: closed-form)",
+    )  # fmt: skip
 
     show = _command(commands, "show", "draw a scene or a plan", SHOW_EXAMPLES, cli_commands.show)
     show.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")

@@ -51,7 +51,7 @@ def verify(options: argparse.Namespace) -> int:
     scene, result = _load_scene(options.scene), _load_plan(options.plan)
     from flockopt.certify import certify
 
-    certificate = certify(scene, result)
+    certificate = certify(scene, result, engine=options.engine)
     cli_text.emit(cli_text.certificate_report(certificate))
     return 0 if certificate.certified else 1
 

@@ -201,9 +201,7 @@ class Scene:
         smallest = min(drone.radius for drone in self.drones)
         places = [(f"drones[{i}].start", drone.start, drone.radius) for i, drone in enumerate(self.drones)]
         places += [
-            (f"drones[{i}].end", drone.end, drone.radius)
-            for i, drone in enumerate(self.drones)
-            if isinstance(drone.end, tuple)
+            (f"drones[{i}].end", drone.end, drone.radius) for i, drone in enumerate(self.drones) if isinstance(drone.end, tuple)
         ]
         places += [(f"tasks[{j}].position", task.position, smallest) for j, task in enumerate(self.tasks)]
         points = np.array([place for _, place, _ in places])

@@ -113,6 +113,11 @@ class Drone:
             raise SceneError(field, f"has norm {norm:g}", f"must be <= {limit_name} = {limit:g}", "slow it or raise the limit")
 
     @property
+    def has_abilities(self) -> bool:
+        """Whether anything is known of what its rotors can do."""
+        return any(getattr(self, name) is not None for name in LATER_DRONE_KEYS)
+
+    @property
     def flyable_acceleration(self) -> float:
         """Metres per second squared: an acceleration up to it, in any direction, is within every limit.
 
