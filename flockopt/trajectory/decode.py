@@ -8,7 +8,7 @@ polyline itself, which is clear.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +23,16 @@ from flockopt.trajectory.room import MOST_PIECES, Room
 from flockopt.trajectory.waypoints import FLY_THROUGH, Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
 from flockopt.travel import Travel, compute_travel
 
-__all__ = ["LAWS", "decode", "fly"]
+__all__ = ["LAWS", "Law", "decode", "fly"]
 
 #: Slower legs tried beside a fault, as shares of the speed they had, before stopping is considered.
 SLOWER_SHARES = (0.7, 0.45)
+
+#: Speeds tried on the first leg of a drone that starts in motion, as shares of its limit.
+ENTRY_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+
+#: By how much the entry from a moving start may pass the limits as they are used: half of what is held in reserve.
+ENTRY_TOLERANCE = 5e-4
 
 #: Seconds a drone that serves a task where it stands is given for it.
 SHORTEST_FLIGHT_S = 0.1
@@ -58,22 +64,34 @@ def decode(
     Raises:
         SettingsError: On an unknown law, bundles for another fleet, or samples of a wrong shape or with a NaN.
     """
-    if law not in LAWS:
-        raise SettingsError("law", f"is {law!r}", f"must be one of {', '.join(LAWS)}", "choose one")
+    chosen = _chosen_law(scene, law)
     if len(bundles) != scene.num_drones:
         rule = f"must hold {scene.num_drones} bundles, one a drone"
         raise SettingsError("bundles", f"hold {len(bundles)}", rule, "plan for this scene")
     control = None if samples is None else check_samples(scene, samples)
     travel = compute_travel(scene) if travel is None else travel
-    flights = {}
+    flights, ways = {}, {}
     for index, (drone, route) in enumerate(zip(scene.drones, bundles, strict=True)):
         if control is None:
             waypoints = waypoints_from_paths(scene, travel, index, route)
         else:
-            waypoints = waypoints_from_samples(scene, travel, index, route, control[index])
-        if waypoints.moves or route or np.any(drone.velocity):
-            flights[drone.id] = LAWS[law](scene, drone, waypoints)
-    return flights
+            waypoints = chosen.from_samples(scene, travel, index, route, control[index])
+        if waypoints.moves:
+            ways[index] = waypoints
+        elif route or np.any(drone.velocity):
+            flights[drone.id] = _stay(scene, drone, waypoints)
+    flights |= chosen.fly(scene, ways)
+    return {drone.id: flights[drone.id] for drone in scene.drones if drone.id in flights}
+
+
+def _chosen_law(scene: Scene, name: str) -> Law:
+    if name not in LAWS:
+        raise SettingsError("law", f"is {name!r}", f"must be one of {', '.join(LAWS)}", "choose one")
+    for index, drone in enumerate(scene.drones):
+        if LAWS[name].from_rest and (any(drone.velocity) or any(drone.acceleration)):
+            rule = f"must be zero, with the acceleration, for law {name!r}, which starts from rest"
+            raise SettingsError(f"drones[{index}].velocity", f"is {drone.velocity}", rule, "take law 'fly-through'")
+    return LAWS[name]
 
 
 def fly(scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None) -> Flight:
@@ -88,14 +106,45 @@ def fly(scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | 
     if not waypoints.moves:
         return _stay(scene, drone, waypoints)
     room = Room.around(scene, drone, waypoints, avoided)
-    best = _mended(_widened(_Trial.make(waypoints, room), room), room)
+    best = _mended(_widened(_entering(waypoints, room), room), room)
     if drone.max_distance is not None and Curve(best.breakpoints, best.coefficients).length > drone.max_distance:
         best = _Trial.make(replace(waypoints, rest_s=np.maximum(waypoints.rest_s, 0.0)), room)
     return _shortened(best, room).flight(scene)
 
 
-#: The ways to time a flight, by name.
-LAWS: dict[str, Callable[[Scene, Drone, Waypoints], Flight]] = {"fly-through": fly}
+@dataclass(frozen=True)
+class Law:
+    """A way to make flights of waypoints.
+
+    Attributes:
+        fly: From the waypoints that move, by drone index, to flights by drone id.
+        from_samples: How a proposal's samples become waypoints.
+        from_rest: Whether drones that move already are refused.
+    """
+
+    fly: Callable[[Scene, Mapping[int, Waypoints]], dict[str, Flight]]
+    from_samples: Callable[[Scene, Travel, int, Sequence[int], FloatArray], Waypoints] = waypoints_from_samples
+    from_rest: bool = False
+
+
+def _fly_through(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
+    return {scene.drones[index].id: fly(scene, scene.drones[index], waypoints) for index, waypoints in ways.items()}
+
+
+def _quintic(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
+    from flockopt.trajectory.quintic import decode_quintic
+
+    return decode_quintic(scene, ways).flights
+
+
+def _quintic_samples(scene: Scene, travel: Travel, drone: int, route: Sequence[int], samples: FloatArray) -> Waypoints:
+    from flockopt.trajectory.correction import corrected_samples
+
+    return corrected_samples(scene, travel, drone, route, samples)
+
+
+#: The laws by name: without stops; and the paper's, which stops at every anchor.
+LAWS: dict[str, Law] = {"fly-through": Law(_fly_through), "quintic": Law(_quintic, _quintic_samples, from_rest=True)}
 
 
 def _stay(scene: Scene, drone: Drone, waypoints: Waypoints) -> Flight:
@@ -142,6 +191,15 @@ class _Trial:
         """How long the flight takes."""
         return float(self.breakpoints[-1])
 
+    def enters(self, room: Room) -> bool:
+        """Whether the first piece keeps the limits, which a moving start may make impossible."""
+        from flockopt.bernstein import control_points, largest_norm
+
+        breakpoints, piece = self.breakpoints[:2], self.coefficients[:1]
+        control = control_points(breakpoints, piece, piece.shape[2])
+        norms = [largest_norm(breakpoints, control, order)[0] for order in (1, 2, 3)]
+        return bool((norms <= room.limits * (1.0 + ENTRY_TOLERANCE)).all())
+
     def flight(self, scene: Scene) -> Flight:
         """The flight with its visits."""
         return Flight(Curve(self.breakpoints, self.coefficients), self.waypoints.visits(scene, self.times))
@@ -160,6 +218,18 @@ class _Trial:
             rest_s = self.waypoints.rest_s.copy()
             rest_s[stops] = 0.0
             yield replace(self.waypoints, rest_s=rest_s), self.caps
+
+
+def _entering(waypoints: Waypoints, room: Room) -> _Trial:
+    """The first trial; of a drone that starts in motion, at the highest speed of its first leg that it can enter."""
+    trial = _Trial.make(waypoints, room)
+    if not (room.velocity.any() or room.acceleration.any()):
+        return trial
+    for share in ENTRY_SHARES:
+        slower = _Trial.make(waypoints, room, np.concatenate([trial.caps[:1] * share, trial.caps[1:]]))
+        if slower.enters(room):
+            return slower
+    return trial
 
 
 def _widened(trial: _Trial, room: Room) -> _Trial:

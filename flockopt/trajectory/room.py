@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,16 +39,32 @@ class Room:
     @classmethod
     def around(cls, scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None) -> Room:
         """The room of a drone that follows ``waypoints``, clear of the (K, 9) obstacle rows ``avoided`` too."""
-        need = drone.radius + scene.clearance
         table, boxes = scene.obstacle_table, scene.obstacle_boxes
         if avoided is not None and len(avoided):
             table = np.vstack([table, avoided])
             boxes = bounding_boxes(table)
-        slack = distances(table, waypoints.points).min(axis=0) - need if len(table) else np.zeros(0)
+        return cls._within(scene, drone, table, boxes, distances(table, waypoints.points).min(axis=0))
+
+    @classmethod
+    def of_fleet(cls, scene: Scene, ways: Mapping[int, Waypoints]) -> dict[int, Room]:
+        """The rooms of several drones, by index, as from `around`."""
+        points = [waypoints.points for waypoints in ways.values()]
+        gaps = distances(scene.obstacle_table, np.concatenate(points) if points else np.empty((0, 3)))  # (P, K)
+        first = np.concatenate([[0], np.cumsum([len(part) for part in points], dtype=np.int64)])[:-1]
+        least = np.minimum.reduceat(gaps, first, axis=0) if points else gaps
+        return {
+            index: cls._within(scene, scene.drones[index], scene.obstacle_table, scene.obstacle_boxes, row)
+            for index, row in zip(ways, least, strict=True)
+        }
+
+    @classmethod
+    def _within(cls, scene: Scene, drone: Drone, table: FloatArray, boxes: FloatArray, gaps: FloatArray) -> Room:
+        """The room of a drone whose waypoints come within ``gaps`` (K,) m of the obstacles."""
+        need = drone.radius + scene.clearance
         return cls(
             table=table,
             boxes=boxes,
-            needs=need + np.clip(0.2 * slack, 0.0, ROOM_RESERVE_M),
+            needs=need + np.clip(0.2 * (gaps - need), 0.0, ROOM_RESERVE_M),
             lower=np.array(scene.bounds.lower),
             upper=np.array(scene.bounds.upper),
             limits=LIMIT_SHARE * np.array([drone.max_speed, drone.flyable_acceleration, drone.max_jerk]),

@@ -19,7 +19,9 @@ from flockopt.geometry import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import END, START, Travel
 
-__all__ = ["FLY_THROUGH", "Waypoints", "check_samples", "waypoints_from_paths", "waypoints_from_samples"]
+__all__ = [
+    "FLY_THROUGH", "Waypoints", "anchored_legs", "check_samples", "leg_clear", "waypoints_from_paths", "waypoints_from_samples",
+]  # fmt: skip
 
 #: The value of `Waypoints.rest_s` that asks for no stop.
 FLY_THROUGH = -1.0
@@ -120,22 +122,32 @@ def check_samples(scene: Scene, samples: ArrayLike) -> FloatArray:
 def waypoints_from_samples(scene: Scene, travel: Travel, drone: int, route: Sequence[int], samples: FloatArray) -> Waypoints:
     """Waypoints along one drone's samples (T, 3), with its start, tasks and end as exact anchors.
 
-    Each anchor takes the place of the sample nearest to it, in order. Where a leg through the samples is blocked,
-    the any-angle path takes its place.
+    Where a leg through the samples is blocked, the any-angle path takes its place.
     """
     detour = waypoints_from_paths(scene, travel, drone, route)
     if not detour.moves:
         return detour
     stops = [START, *route] + ([END] if scene.drones[drone].end_point is not None else [])
-    anchors = np.vstack([scene.starts[drone], scene.task_positions[list(route)], scene.ends[drone]])[: len(stops)]
-    places = _ordered_matches(anchors, samples)
     tolerance = CHORD_TOLERANCE * scene.drones[drone].radius
     legs = []
-    for index in range(len(anchors) - 1):
-        between = samples[places[index] + 1 : places[index + 1]]
-        leg = _thinned(np.vstack([anchors[index], between, anchors[index + 1]]), tolerance)
-        legs.append(leg if _leg_clear(scene, drone, leg) else travel.path(drone, stops[index], stops[index + 1]))
+    for index, raw in enumerate(anchored_legs(scene, drone, route, samples)):
+        leg = _thinned(raw, tolerance)
+        legs.append(leg if leg_clear(scene, drone, leg) else travel.path(drone, stops[index], stops[index + 1]))
     return Waypoints.join(scene, route, legs)
+
+
+def anchored_legs(scene: Scene, drone: int, route: Sequence[int], samples: FloatArray) -> list[FloatArray]:
+    """One drone's samples (T, 3) split into legs (V, 3) between its anchors: start, tasks, end if it has one.
+
+    Each anchor takes the place of the sample nearest to it, in order.
+    """
+    ends = scene.ends[drone : drone + 1] if scene.drones[drone].end_point is not None else np.empty((0, 3))
+    anchors = np.vstack([scene.starts[drone], scene.task_positions[list(route)], ends])
+    places = _ordered_matches(anchors, samples)
+    return [
+        np.vstack([anchors[index], samples[places[index] + 1 : places[index + 1]], anchors[index + 1]])
+        for index in range(len(anchors) - 1)
+    ]
 
 
 def _ordered_matches(anchors: FloatArray, samples: FloatArray) -> list[int]:
@@ -173,7 +185,8 @@ def _thinned(points: FloatArray, tolerance: float) -> FloatArray:
     return np.vstack([head[:-1], tail])
 
 
-def _leg_clear(scene: Scene, drone: int, leg: FloatArray) -> bool:
+def leg_clear(scene: Scene, drone: int, leg: FloatArray) -> bool:
+    """Whether a polyline (V, 3) stays within bounds and as far from all obstacles as the drone must."""
     from flockopt.kernels import segment_clear
 
     if (leg < scene.bounds.lower).any() or (leg > scene.bounds.upper).any():
