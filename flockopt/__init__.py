@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from flockopt.certify import certify
     from flockopt.curve import Curve, Flight, Visit
     from flockopt.errors import FlockError, MissingExtra, PlanError, SceneError, SettingsError, SolverFailed
+    from flockopt.export import Export, export
     from flockopt.families.generate import generate
     from flockopt.plan import plan
     from flockopt.planfile import Plan
@@ -29,9 +30,10 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
-    "Bound", "Bounds", "Box", "Bundles", "Curve", "Cylinder", "Drone", "Flight", "FlockError", "MissingExtra", "Origin", "Plan",
-    "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task", "Travel", "Visit", "__version__",
-    "certify", "compute_travel", "decode", "deconflict", "generate", "lower_bound", "plan", "refine_bundles", "show",
+    "Bound", "Bounds", "Box", "Bundles", "Curve", "Cylinder", "Drone", "Export", "Flight", "FlockError", "MissingExtra",
+    "Origin", "Plan", "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task", "Travel", "Visit",
+    "__version__", "certify", "compute_travel", "decode", "deconflict", "export", "generate", "lower_bound", "plan",
+    "refine_bundles", "show",
 ]  # fmt: skip
 
 #: Which module defines each public name.
@@ -42,6 +44,7 @@ _HOMES = {
     "flockopt.certify": ("certify",),
     "flockopt.curve": ("Curve", "Flight", "Visit"),
     "flockopt.errors": ("FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed"),
+    "flockopt.export": ("Export", "export"),
     "flockopt.families.generate": ("generate",),
     "flockopt.plan": ("plan",),
     "flockopt.planfile": ("Plan",),

@@ -16,8 +16,8 @@ __all__ = ["main"]
 BAD_INPUT = 2
 INTERRUPTED = 130
 
-STATUSES = """exit status: 0 all is well; 1 the plan is not certified or the scene is infeasible (the output says why);
-2 bad input (one line on stderr says what and how to mend it; nothing is written)"""
+STATUSES = """exit status: 0 all is well; 1 the plan is not certified, the scene is infeasible, or the plan does not fit the
+device (the output says why); 2 bad input (one line on stderr says what and how to mend it; nothing is written)"""
 
 PLAN_EXAMPLES = """examples:
   flockopt plan scene.json -o plan.json
@@ -39,6 +39,10 @@ SHOW_EXAMPLES = """examples:
 GENERATE_EXAMPLES = """examples:
   flockopt generate forest --drones 10 --tasks 20 --seed 0 -o forest.json
   flockopt generate city --drones 6 --tasks 40 --seed 7 -o city.json"""
+
+EXPORT_EXAMPLES = """examples:
+  flockopt export plan.json --to crazyswarm2 -o fleet                          a CSV a drone, crazyflies.yaml
+  flockopt export plan.json --to qgroundcontrol --scene scene.json -o fleet    a mission a drone"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -120,6 +124,15 @@ def _parser() -> argparse.ArgumentParser:
     generate.add_argument("--tasks", type=_whole(0), default=20, metavar="M", help="how many (default: 20)")
     generate.add_argument("--seed", type=_whole(0), default=0, metavar="K", help="same seed, same scene (default: 0)")
     generate.add_argument("-o", "--output", required=True, metavar="SCENE", help="where to write the scene")
+
+    export = _command(commands, "export", "write a plan for real drones", EXPORT_EXAMPLES, cli_commands.export)
+    export.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file")
+    export.add_argument(
+        "--to", required=True, metavar="DEVICE", choices=("crazyswarm2", "qgroundcontrol"),
+        help="for which device: crazyswarm2 or qgroundcontrol",
+    )  # fmt: skip
+    export.add_argument("--scene", metavar="SCENE", help="the plan's scene; qgroundcontrol needs it, with its origin")
+    export.add_argument("-o", "--output", required=True, metavar="DIR", help="a new or empty directory, or an earlier export")
     return parser
 
 

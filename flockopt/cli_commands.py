@@ -17,7 +17,7 @@ from flockopt.scene import Scene
 if TYPE_CHECKING:
     from flockopt.planfile import Plan
 
-__all__ = ["generate", "plan", "show", "verify"]
+__all__ = ["export", "generate", "plan", "show", "verify"]
 
 
 def plan(options: argparse.Namespace) -> int:
@@ -78,6 +78,25 @@ def generate(options: argparse.Namespace) -> int:
     scene = generate_scene(options.family, drones=options.drones, tasks=options.tasks, seed=options.seed)
     scene.save(options.output)
     return 0
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write a plan for real drones: 0 when written, 1 when it does not fit them."""
+    result = _load_plan(options.plan)
+    scene = None if options.scene is None else _load_scene(options.scene)
+    from flockopt.export import export as export_plan
+
+    try:
+        outcome = export_plan(result, to=options.to, path=options.output, scene=scene)
+    except SettingsError as fault:
+        option = "--scene" if fault.field == "scene" else "--output"
+        raise type(fault)(option, fault.value, fault.rule, fault.mend) from None
+    except SceneError as fault:
+        raise _in_file(fault, options.scene) from None
+    except PlanError as fault:
+        raise _in_file(fault, options.plan) from None
+    cli_text.emit(cli_text.export_report(result, options.output, outcome))
+    return 1 if outcome.misfits else 0
 
 
 def _load_scene(path: str) -> Scene:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from flockopt.certificate import Certificate, Clause
+    from flockopt.export import Export
     from flockopt.planfile import Plan
     from flockopt.scene import Scene
 
-__all__ = ["certificate_report", "emit", "plan_report", "printable"]
+__all__ = ["certificate_report", "emit", "export_report", "plan_report", "printable"]
 
 
 def emit(text: str) -> None:
@@ -90,6 +91,17 @@ def certificate_report(certificate: Certificate) -> str:
         tightest = "; ".join(words for words in (clause.where, clause.detail) if words)
         rows.append((clause.name, "holds" if clause.holds else "FAILS", _margin(clause), tightest))
     return table(("clause", "", "margin", "tightest"), rows, right=(2,)) + "\n\n" + _verdict(certificate)
+
+
+def export_report(plan: Plan, path: str, outcome: Export) -> str:
+    """What was written where, or what does not fit; and a warning where the plan is not certified."""
+    if outcome.misfits:
+        lines = [*outcome.misfits, "nothing was written"]
+    else:
+        lines = [f"{path}: {', '.join(outcome.files)}"]
+        if plan.status != "certified":
+            lines.append(f"warning: the plan is {plan.status}; do not fly it before `flockopt verify` holds")
+    return "\n".join(printable(line) for line in lines)
 
 
 def _verdict(certificate: Certificate) -> str:
