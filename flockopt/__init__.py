@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from flockopt.families.generate import generate
     from flockopt.plan import plan
     from flockopt.planfile import Plan
+    from flockopt.replan import Changes, replan
     from flockopt.scene import Bounds, Box, Cylinder, Drone, Origin, Scene, Sphere, Task
     from flockopt.show import show
     from flockopt.trajectory.decode import decode
@@ -30,10 +31,10 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
-    "Bound", "Bounds", "Box", "Bundles", "Curve", "Cylinder", "Drone", "Export", "Flight", "FlockError", "MissingExtra",
-    "Origin", "Plan", "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task", "Travel", "Visit",
-    "__version__", "certify", "compute_travel", "decode", "deconflict", "export", "generate", "lower_bound", "plan",
-    "refine_bundles", "show",
+    "Bound", "Bounds", "Box", "Bundles", "Changes", "Curve", "Cylinder", "Drone", "Export", "Flight", "FlockError",
+    "MissingExtra", "Origin", "Plan", "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task", "Travel",
+    "Visit", "__version__", "certify", "compute_travel", "decode", "deconflict", "export", "generate", "lower_bound", "plan",
+    "refine_bundles", "replan", "show",
 ]  # fmt: skip
 
 #: Which module defines each public name.
@@ -48,6 +49,7 @@ _HOMES = {
     "flockopt.families.generate": ("generate",),
     "flockopt.plan": ("plan",),
     "flockopt.planfile": ("Plan",),
+    "flockopt.replan": ("Changes", "replan"),
     "flockopt.scene": ("Bounds", "Box", "Cylinder", "Drone", "Origin", "Scene", "Sphere", "Task"),
     "flockopt.show": ("show",),
     "flockopt.trajectory.decode": ("decode",),

@@ -107,6 +107,20 @@ class Curve:
         """The same curve, flown later by ``seconds``."""
         return Curve(self.breakpoints + seconds, self.coefficients)
 
+    def after(self, time: float) -> Curve | None:
+        """What is left of the curve at ``time``, with that moment as its new zero; None if it has come to its end."""
+        if time >= self.end_time:
+            return None
+        if time <= self.start_time:
+            return self.shifted(-time)
+        first = int(np.searchsorted(self.breakpoints, time, side="right")) - 1
+        coefficients = self.coefficients[first:].copy()
+        offset = time - self.breakpoints[first]
+        for n in range(coefficients.shape[2] - 1):  # Taylor shift by synthetic division
+            for k in range(coefficients.shape[2] - 2, n - 1, -1):
+                coefficients[0, :, k] += offset * coefficients[0, :, k + 1]
+        return Curve(np.concatenate([[0.0], self.breakpoints[first + 1 :] - time]), coefficients)
+
     def stretched(self, factor: float) -> Curve:
         """The same path, flown ``factor`` times slower."""
         powers = np.arange(self.coefficients.shape[2])
@@ -135,3 +149,14 @@ class Flight:
     def shifted(self, seconds: float) -> Flight:
         """The same flight, begun later by ``seconds``."""
         return Flight(self.curve.shifted(seconds), tuple(Visit(v.task, v.time + seconds) for v in self.visits))
+
+    def then(self, other: Flight) -> Flight:
+        """This flight to its end, and at once the other one, which begins at t = 0 where this one rests."""
+        onward = other.shifted(self.curve.end_time)
+        width = max(self.curve.coefficients.shape[2], onward.curve.coefficients.shape[2])
+        pieces = [
+            np.pad(curve.coefficients, ((0, 0), (0, 0), (0, width - curve.coefficients.shape[2])))
+            for curve in (self.curve, onward.curve)
+        ]
+        breakpoints = np.concatenate([self.curve.breakpoints, onward.curve.breakpoints[1:]])
+        return Flight(Curve(breakpoints, np.concatenate(pieces)), self.visits + onward.visits)

@@ -27,7 +27,7 @@ from flockopt.trajectory.decode import decode
 from flockopt.trajectory.deconflict import deconflict
 from flockopt.travel import Travel, compute_travel
 
-__all__ = ["Planner", "Proposal", "Request", "plan", "planner_names"]
+__all__ = ["Planner", "Proposal", "Request", "draft_plan", "plan", "plan_cost", "planner_names"]
 
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
 ALLOCATION_SHARE = 0.7
@@ -136,7 +136,7 @@ def plan(
         proposal = propose(Request(scene, travel, left, seed))
     bundles = proposal.bundles
     clock.seconds.update({"generate": 0.0, **proposal.timing})
-    draft = _draft(scene, planner, bundles)
+    draft = draft_plan(scene, planner, bundles)
     if bundles.status == "infeasible":
         return replace(draft, status="infeasible", reason=bundles.reason, timing=clock.timing())
     with clock.stage("bound", 0.5):
@@ -145,7 +145,7 @@ def plan(
         flights = decode(scene, bundles, proposal.samples, travel=travel)
     with clock.stage("deconflict", 0.7):
         flights = deconflict(scene, bundles, flights, travel=travel).flights
-    draft = replace(draft, flights=flights, cost=_cost(travel, bundles, flights, proof))
+    draft = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
     with clock.stage("certify", 0.9):
         certificate = certify(scene, draft, travel=travel, bound=proof)
     status = "certified" if certificate.certified else "uncertified"
@@ -161,7 +161,7 @@ def _check_settings(time_limit_s: float | None, seed: int, bound: str) -> None:
         raise SettingsError("bound", f"is {bound!r}", f"must be one of {', '.join(BOUNDS)}", "choose one")
 
 
-def _draft(scene: Scene, planner: str, bundles: Bundles) -> Plan:
+def draft_plan(scene: Scene, planner: str, bundles: Bundles) -> Plan:
     """The plan as far as the allocation makes it."""
     names = [task.id for task in scene.tasks]
     return Plan(
@@ -178,7 +178,8 @@ def _draft(scene: Scene, planner: str, bundles: Bundles) -> Plan:
     )
 
 
-def _cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: Bound) -> Cost:
+def plan_cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: Bound) -> Cost:
+    """What flights along bundles cost, against a proven bound."""
     total = travel.total(bundles.routes)
     gap = (total - proof.value) / proof.value if proof.value > 0.0 else 0.0 if total <= NO_TRAVEL_M else None
     return Cost(

@@ -31,6 +31,9 @@ SLOWER_SHARES = (0.7, 0.45)
 #: Speeds tried on the first leg of a drone that starts in motion, as shares of its limit.
 ENTRY_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 
+#: Share of the limits that flights from a moving start are planned for: no time scaling takes up what is left of them.
+MOVING_SHARE = 0.98
+
 #: By how much the entry from a moving start may pass the limits as they are used: half of what is held in reserve.
 ENTRY_TOLERANCE = 5e-4
 
@@ -176,10 +179,11 @@ class _Trial:
         from flockopt.continuous import curve_clear
         from flockopt.trajectory.blend import first_outside, fly_polyline
 
+        limits = room.limits * MOVING_SHARE if room.in_motion else room.limits
         if caps is None:
-            caps = np.full(len(waypoints.points) - 1, room.limits[0])
+            caps = np.full(len(waypoints.points) - 1, limits[0])
         breakpoints, coefficients, times, owners = fly_polyline(
-            waypoints.points, waypoints.rest_s, caps, room.limits, room.velocity, room.acceleration, unwanted
+            waypoints.points, waypoints.rest_s, caps, limits, room.velocity, room.acceleration, unwanted
         )
         blocked = curve_clear(room.table, room.boxes, room.needs, breakpoints, coefficients)
         outside = first_outside(room.lower, room.upper, breakpoints, coefficients)
@@ -192,12 +196,11 @@ class _Trial:
         return float(self.breakpoints[-1])
 
     def enters(self, room: Room) -> bool:
-        """Whether the first piece keeps the limits, which a moving start may make impossible."""
+        """Whether the limits are kept, which a moving start may make impossible."""
         from flockopt.bernstein import control_points, largest_norm
 
-        breakpoints, piece = self.breakpoints[:2], self.coefficients[:1]
-        control = control_points(breakpoints, piece, piece.shape[2])
-        norms = [largest_norm(breakpoints, control, order)[0] for order in (1, 2, 3)]
+        control = control_points(self.breakpoints, self.coefficients, self.coefficients.shape[2])
+        norms = [largest_norm(self.breakpoints, control, order)[0] for order in (1, 2, 3)]
         return bool((norms <= room.limits * (1.0 + ENTRY_TOLERANCE)).all())
 
     def flight(self, scene: Scene) -> Flight:
@@ -223,7 +226,7 @@ class _Trial:
 def _entering(waypoints: Waypoints, room: Room) -> _Trial:
     """The first trial; of a drone that starts in motion, at the highest speed of its first leg that it can enter."""
     trial = _Trial.make(waypoints, room)
-    if not (room.velocity.any() or room.acceleration.any()):
+    if not room.in_motion:
         return trial
     for share in ENTRY_SHARES:
         slower = _Trial.make(waypoints, room, np.concatenate([trial.caps[:1] * share, trial.caps[1:]]))
@@ -246,7 +249,7 @@ def _widened(trial: _Trial, room: Room) -> _Trial:
 
 def _shortened(trial: _Trial, room: Room) -> _Trial:
     """The trial with fewer pieces where it has more than `MOST_PIECES`: cruises are given up, shortest first."""
-    excess = 0 if np.any(room.velocity) else len(trial.coefficients) - MOST_PIECES
+    excess = 0 if room.in_motion else len(trial.coefficients) - MOST_PIECES
     for unwanted in range(excess, len(trial.caps) + 1) if excess > 0 else ():
         fewer = _Trial.make(trial.waypoints, room, trial.caps, unwanted)
         if fewer.fault < 0 and len(fewer.coefficients) <= MOST_PIECES:

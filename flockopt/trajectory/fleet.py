@@ -60,6 +60,11 @@ class Fleet:
         """Whether the drone has a flight."""
         return self.scene.drones[drone].id in self.flights
 
+    def _in_motion(self, drone: int) -> bool:
+        """Whether the drone already flies at the start, so that it can neither wait nor slow down."""
+        record = self.scene.drones[drone]
+        return any(record.velocity) or any(record.acceleration)
+
     def replace(self, drone: int, flight: Flight) -> None:
         """Give a drone another flight."""
         self.flights[self.scene.drones[drone].id] = flight
@@ -95,7 +100,7 @@ class Fleet:
 
         longest = max(float(curve[0][-1]) for curve in self.curves)
         step = self._delay_step(longest)
-        waits = [self.moves(drone) and not any(record.velocity) for drone, record in enumerate(self.scene.drones)]
+        waits = [self.moves(drone) and not self._in_motion(drone) for drone in range(len(self.curves))]
         try:
             delays = schedule(self.curves, waits, self.axes, step, int(np.ceil(LONGEST_WAIT * longest / step)))
         except MissingExtra:
@@ -152,10 +157,9 @@ class Fleet:
         last = max((self._finish(other, self.timing[other]) for other in timed), default=0.0)
         step = self._delay_step(last)
         delays = np.arange(0.0, last + 2 * step, step)
-        slowdowns = SLOWDOWNS if not any(self.scene.drones[drone].velocity) else SLOWDOWNS[:1]
-        if any(self.scene.drones[drone].velocity):
-            delays = delays[:1]
-        options = [Timing(float(delay), slowdown) for slowdown in slowdowns for delay in delays]
+        if self._in_motion(drone):
+            return [Timing()]
+        options = [Timing(float(delay), slowdown) for slowdown in SLOWDOWNS for delay in delays]
         return sorted(options, key=lambda timing: (timing.delay + seconds * timing.slowdown, timing.delay))
 
     def first_meeting(self, a: int, b: int) -> float:

@@ -36,6 +36,11 @@ class Room:
     velocity: FloatArray  # (3,) m/s at the start
     acceleration: FloatArray  # (3,) m/s2 at the start
 
+    @property
+    def in_motion(self) -> bool:
+        """Whether the drone already flies at the start."""
+        return bool(self.velocity.any() or self.acceleration.any())
+
     @classmethod
     def around(cls, scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None) -> Room:
         """The room of a drone that follows ``waypoints``, clear of the (K, 9) obstacle rows ``avoided`` too."""

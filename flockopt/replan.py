@@ -1,0 +1,248 @@
+"""Replanning from flight: tasks come and go, drones are lost, and the fleet flies on.
+
+The old plan is flown, unchanged and certified, until the swap, a short freeze after the events. From there on a new
+plan holds, for a new scene: drones start where the old curves have brought them, with their velocity and
+acceleration, so the splice is C2; only open tasks are left, and the new plan has a certificate of its own. Drones
+whose route stays the same keep the very curve they fly. Nothing uncertified is swapped in: where no new plan is
+certified, the old one goes on as far as the events allow, and what it cannot serve is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from time import perf_counter
+
+import numpy as np
+
+from flockopt.allocate.bounds import lower_bound
+from flockopt.allocate.refine import refine_bundles
+from flockopt.bundles import Bundles
+from flockopt.certify import certify
+from flockopt.curve import Flight
+from flockopt.errors import SceneError, SettingsError
+from flockopt.handover import Changes, Situation, hand_over
+from flockopt.plan import draft_plan, plan_cost
+from flockopt.planfile import Plan
+from flockopt.scene import Scene
+from flockopt.trajectory.decode import fly
+from flockopt.trajectory.deconflict import deconflict
+from flockopt.trajectory.waypoints import SAME_POINT_M, Waypoints, waypoints_from_paths
+from flockopt.travel import Travel, compute_travel
+
+__all__ = ["Changes", "Replanned", "replan"]
+
+#: Seconds between an event and the swap: what replanning may take while the old plan is flown on.
+FREEZE_S = 0.3
+
+#: How often the swap is put off by another freeze where rounding makes the moment no valid scene.
+MOST_SWAPS = 5
+
+#: Iterations of the search, which starts from bundles that were good a moment ago.
+ITERATIONS = 600
+
+#: A new allocation must save this share of the travel to be worth changing what drones are about to do.
+WORTH_CHANGING = 0.01
+
+#: Rests tried at the first waypoint of drones that meet others and cannot wait where they are, for they fly; seconds.
+RESTS_S = (0.0, 1.0, 2.0, 4.0, 7.0)
+
+
+@dataclass(frozen=True)
+class Replanned:
+    """The answer to an event.
+
+    Attributes:
+        scene: What is left to do from the swap on: drones as they fly, the tasks that the plan serves.
+        plan: The plan for that scene; its t = 0 is the swap. Swap only if it is ``certified``.
+        swap_s: When to swap, seconds on the old plan's clock.
+        unserved: Reason by id of every open task that is left out.
+        strategy: ``"new"`` bundles; the ``"old"`` ones with open tasks inserted, or ``"appended"`` to be served after all
+            others from rest; or the old ones ``"kept"`` as they were.
+        seconds: How long replanning took.
+    """
+
+    scene: Scene
+    plan: Plan
+    swap_s: float
+    unserved: dict[str, str]
+    strategy: str
+    seconds: float
+
+
+def replan(scene: Scene, plan: Plan, now_s: float, changes: Changes, *, seed: int = 0, freeze_s: float = FREEZE_S) -> Replanned:
+    """A certified plan from flight after something has happened.
+
+    Args:
+        scene: The scene of the plan being flown.
+        plan: The certified plan being flown.
+        now_s: Seconds on its clock, >= 0.
+        changes: What has happened.
+        seed: Of the search.
+        freeze_s: Seconds the old plan is flown on before the swap, > 0.
+
+    Raises:
+        SettingsError: If the plan is not certified or for another scene, a time is out of range, or a change names
+            what is not there.
+        SceneError: If a new task is not valid in the scene.
+    """
+    began = perf_counter()
+    _check(scene, plan, now_s, changes, freeze_s)
+    situation, swap_s = _situation(scene, plan, now_s, changes, freeze_s)
+    travel = compute_travel(situation.scene)
+    for strategy, bundles in _proposals(situation, travel, seed):
+        left, result, unserved = _finish(situation, travel, bundles, from_rest=strategy == "appended")
+        if result.status == "certified":
+            break
+    return Replanned(left, result, swap_s, unserved, strategy, perf_counter() - began)
+
+
+def _check(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: float) -> None:
+    if plan.scene_sha256 != scene.sha256:
+        raise SettingsError(
+            "plan", f"is for scene {plan.scene_sha256[:12]}", f"must be for {scene.sha256[:12]}", "plan this scene"
+        )
+    if plan.status != "certified":
+        raise SettingsError("plan", f"is {plan.status}", "only a certified plan is flown on", "plan the scene first")
+    if not 0.0 <= now_s < np.inf:
+        raise SettingsError("now_s", f"is {now_s!r}", "must be seconds >= 0 on the plan's clock", "correct it")
+    if not 0.0 < freeze_s < np.inf:
+        raise SettingsError("freeze_s", f"is {freeze_s!r}", "must be seconds > 0", "give replanning some time")
+    drones, tasks = {drone.id for drone in scene.drones}, {task.id for task in scene.tasks}
+    for field, names, known in (
+        ("removed", changes.removed, tasks),
+        ("lost", changes.lost, drones),
+        ("late", changes.late, drones),
+    ):
+        for name in names:
+            if name not in known:
+                raise SettingsError(field, f"names {name!r}", "must name what is in the scene", "correct its spelling")
+    if drones <= set(changes.lost):
+        raise SettingsError("lost", "names every drone", "somebody must be left to fly", "there is nothing to plan")
+
+
+def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: float) -> tuple[Situation, float]:
+    """The situation at the first moment after the freeze that is a valid scene, and that moment."""
+    scene.replace(tasks=(*scene.tasks, *changes.added))  # a bad new task is the caller's fault, not the moment's
+    for attempt in range(1, MOST_SWAPS):
+        try:
+            return hand_over(scene, plan, now_s + attempt * freeze_s, changes), now_s + attempt * freeze_s
+        except SceneError:
+            continue
+    return hand_over(scene, plan, now_s + MOST_SWAPS * freeze_s, changes), now_s + MOST_SWAPS * freeze_s
+
+
+def _proposals(situation: Situation, travel: Travel, seed: int) -> Iterator[tuple[str, Bundles]]:
+    """Bundles to try, the most wanted first; the old ones, untouched, come last."""
+    old = refine_bundles(situation.scene, travel=travel, iterations=0, seed=seed, warm_start=situation.routes)
+    new = refine_bundles(situation.scene, travel=travel, iterations=ITERATIONS, seed=seed, warm_start=old)
+    saves = travel.total(new.routes) < (1.0 - WORTH_CHANGING) * travel.total(old.routes)
+    if saves or len(new.unserved) < len(old.unserved):
+        yield "new", new
+    yield "old", old
+    yield "appended", _appended(situation, travel)
+    served = {task for route in situation.routes for task in route}
+    reason = "no certified plan that serves it was found from flight; ask again later"
+    left = tuple((task, reason) for task in range(situation.scene.num_tasks) if task not in served)
+    yield "kept", Bundles(situation.routes, left)
+
+
+def _appended(situation: Situation, travel: Travel) -> Bundles:
+    """The old bundles, each open task put behind the drone's last one where that is shortest."""
+    scene, routes = situation.scene, [list(route) for route in situation.routes]
+    may_append = [_stops_at_last_task(situation, index) for index in range(scene.num_drones)]
+    left = []
+    for task in sorted(set(range(scene.num_tasks)) - {task for route in routes for task in route}):
+        longer = [
+            travel.route_length(index, [*route, task]) - travel.route_length(index, route)
+            if may_append[index] and scene.drones[index].capacity >= scene.demands[[*route, task]].sum()
+            else np.inf
+            for index, route in enumerate(routes)
+        ]
+        if np.isfinite(min(longer)):
+            routes[int(np.argmin(longer))].append(task)
+        else:
+            left.append((task, "no drone has capacity left to serve it after its other tasks; add a drone"))
+    return Bundles(tuple(tuple(route) for route in routes), tuple(left))
+
+
+def _stops_at_last_task(situation: Situation, index: int) -> bool:
+    """Whether more tasks can follow the drone's old flight: it rests at its last task or never took off."""
+    drone, route = situation.scene.drones[index], situation.routes[index]
+    flight = situation.flights.get(drone.id)
+    if drone.end is not None or drone.max_distance is not None:
+        return False
+    if flight is None or not route:
+        return flight is None and not route
+    away = flight.curve(flight.curve.end_time) - situation.scene.task_positions[route[-1]]
+    return bool(np.linalg.norm(away) < SAME_POINT_M)
+
+
+def _finish(situation: Situation, travel: Travel, bundles: Bundles, from_rest: bool) -> tuple[Scene, Plan, dict[str, str]]:
+    """The scene of what the bundles serve, the plan for it, certified or not, and what is left out.
+
+    With ``from_rest`` drones fly their old flights to the end before they turn to tasks that were not theirs.
+    """
+    scene = situation.scene
+    unserved = {scene.tasks[task].id: reason for task, reason in bundles.unserved}
+    if unserved:
+        kept = [j for j, task in enumerate(scene.tasks) if task.id not in unserved]
+        place = {j: k for k, j in enumerate(kept)}
+        scene = scene.replace(tasks=tuple(scene.tasks[j] for j in kept))
+        travel = compute_travel(scene)
+        bundles = Bundles(tuple(tuple(place[j] for j in route) for route in bundles))
+    draft = draft_plan(scene, "replan", bundles)
+    proof = lower_bound(scene, travel, bound="fast")
+    for rest_s in RESTS_S:
+        flights = _flights(situation, scene, travel, bundles, rest_s, from_rest)
+        flights = deconflict(scene, bundles, flights, travel=travel).flights
+        result = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
+        certificate = certify(scene, result, travel=travel, bound=proof)
+        result = replace(result, status="certified" if certificate.certified else "uncertified", certificate=certificate)
+        if certificate["separation"].holds:  # a rest helps only against meeting others
+            break
+    return scene, result, unserved
+
+
+def _flights(
+    situation: Situation, scene: Scene, travel: Travel, bundles: Bundles, rest_s: float, from_rest: bool
+) -> dict[str, Flight]:
+    """Flights from the swap: the old curve where the route is the old one, a new one elsewhere.
+
+    Drones on a new route that start in motion rest for ``rest_s`` seconds at their first waypoint, if that is > 0.
+    """
+    flights = dict(situation.flights)
+    for index, drone in enumerate(scene.drones):
+        old = tuple(situation.scene.tasks[task].id for task in situation.routes[index])
+        new = tuple(scene.tasks[task].id for task in bundles[index])
+        moving = any(drone.velocity) or any(drone.acceleration)
+        if old == new:
+            continue
+        if from_rest and drone.id in flights and old == new[: len(old)]:
+            flights[drone.id] = _continued(scene, travel, index, bundles[index], flights[drone.id], len(old))
+            continue
+        waypoints = waypoints_from_paths(scene, travel, index, bundles[index])
+        if moving and rest_s > 0.0:
+            waypoints = _resting(waypoints, rest_s)
+        flights.pop(drone.id, None)
+        if waypoints.moves or new or moving:
+            flights[drone.id] = fly(scene, drone, waypoints).shifted(situation.ready_s[drone.id])
+    return flights
+
+
+def _continued(scene: Scene, travel: Travel, index: int, route: tuple[int, ...], flight: Flight, num_flown: int) -> Flight:
+    """The old flight, flown to rest at its last task, and a new one from there through the tasks after ``num_flown``."""
+    standing = replace(scene.drones[index], velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0))
+    legs = [travel.path(index, *pair) for pair in pairwise(route[num_flown - 1 :])]
+    onward = fly(scene, standing, Waypoints.join(scene, route[num_flown:], legs))
+    return flight.then(onward)
+
+
+def _resting(waypoints: Waypoints, rest_s: float) -> Waypoints:
+    """The same way with a longer rest at its first point after the start."""
+    if not waypoints.moves:
+        return waypoints
+    rests = waypoints.rest_s.copy()
+    rests[1] = max(rests[1], 0.0) + rest_s
+    return replace(waypoints, rest_s=rests)
