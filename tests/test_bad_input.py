@@ -199,3 +199,14 @@ def test_a_new_process_says_the_same(two_drones, tmp_path):
     done = subprocess.run(command, capture_output=True, text=True)
     check_refused((done.returncode, done.stdout, done.stderr), "drones[1].capacity is -1")
     assert not (tmp_path / "out.json").exists()
+
+
+def test_a_plan_too_large_to_draw(flockopt, root, tmp_path):
+    scene = root / "examples/scenes/two-drones.json"
+    assert flockopt("plan", scene, "-o", tmp_path / "plan.json", "--quiet") == (0, "", "")
+    record = json.loads((tmp_path / "plan.json").read_text())
+    record["trajectories"][0]["coefficients"][1][0][4] = 1e308
+    plan = write(tmp_path / "plan.json", record)
+    for suffix in ("html", "png"):
+        check_refused(flockopt("show", scene, plan, "-o", tmp_path / f"a.{suffix}"), "trajectories[0].coefficients")
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flockopt.curve import Flight
+from flockopt.errors import PlanError
 from flockopt.geometry import FloatArray, distances
 from flockopt.scene import Scene
 
@@ -42,8 +44,18 @@ class Motion:
 
 
 def flights_of(scene: Scene, plan: Plan | None) -> dict[int, Flight]:
-    """The plan's flights by drone index; a drone that the scene does not know is the judge's business."""
+    """The plan's flights by drone index; a drone that the scene does not know is the judge's business.
+
+    Raises:
+        PlanError: If a flight leaves all that can be drawn.
+    """
     flights = {} if plan is None else plan.flights
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = [flight.curve.length for flight in flights.values()]
+    for number, length in enumerate(lengths):
+        if not math.isfinite(length):
+            seen, rule = "are so large that positions overflow", "must describe a flight of finite length"
+            raise PlanError(f"trajectories[{number}].coefficients", seen, rule, "verify the plan before drawing it")
     return {index: flights[drone.id] for index, drone in enumerate(scene.drones) if drone.id in flights}
 
 
