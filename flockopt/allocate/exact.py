@@ -38,17 +38,20 @@ __all__ = ["OPTIMAL_GAP", "ExactResult", "solve_exact"]
 #: An allocation is optimal if no other is shorter by more than this share.
 OPTIMAL_GAP = 1e-7
 
-#: Dynamic programs solved for the prices.
-ROUNDS = 60
+#: Dynamic programs solved for the prices, and how slowly their steps shrink.
+ROUNDS, COOLING = 150, 0.8
 
 #: The first list holds the routes within this share of the bound at most; the next gaps are so many times wider.
 FIRST_GAP_SHARE, GAP_GROWTH = 0.03, 4.0
+
+#: A gap with too many routes in it is divided by this.
+OVERFLOW_SHRINK = 1.5
 
 #: A gap in which nothing is left to be found, metres.
 LEAST_GAP_M = 1e-6
 
 #: Tails, and routes, on the first list and on any list, at most.
-FIRST_ROUTES, MOST_ROUTES = 30_000, 200_000
+FIRST_ROUTES, MOST_ROUTES = 50_000, 200_000
 
 #: Share of a time limit that the search for a first allocation may take.
 SEARCH_SHARE = 0.2
@@ -99,7 +102,8 @@ def solve_exact(
         return ExactResult(best, Bound("ng-route", 0.0, np.empty(0)), upper, best.status)
     ceiling = min(upper, travel_ceiling(travel))
     groups, prices = group_drones(scene, travel), first_prices(scene, travel, ceiling)
-    prices = ascend_prices(groups, prices, rounds=ROUNDS, upper=ceiling, time_limit_s=deadline - time.monotonic())
+    left_s = deadline - time.monotonic()
+    prices = ascend_prices(groups, prices, rounds=ROUNDS, upper=ceiling, cooling=COOLING, time_limit_s=left_s)
     value = evaluate(groups, prices)[0]
     best, proven = _Lists(scene, travel, groups, prices, value, ceiling, deadline).close(best, upper)
     return ExactResult(best, Bound("ng-route", value, prices), proven, best.status)
@@ -134,6 +138,7 @@ class _Lists:
     def close(self, best: Bundles, upper: float) -> tuple[Bundles, float]:
         """The best allocation, labelled, and the bound proven for it, metres; ``upper`` is the travel of ``best``."""
         proven, too_wide, limit = self.value, math.inf, FIRST_ROUTES
+        searched = 0.0  # no allocation below `upper` has routes of no more slack than this only
         longest = np.array([math.inf if drone.max_distance is None else drone.max_distance for drone in self.scene.drones])
         longest += LENGTH_TOLERANCE_M
         fleet = Fleet(self.scene.demands, self.scene.capacities, ~(self.travel.start_end <= longest))
@@ -142,10 +147,10 @@ class _Lists:
         while widest >= 0.0 and not _closed(upper, proven) and time.monotonic() < self.deadline:
             pool = enumerate_routes(self.groups, self.prices, gap, longest, limit)
             if pool is None:
-                too_wide, gap = gap if limit == MOST_ROUTES else math.inf, gap / 2.0
+                too_wide, gap = gap if limit == MOST_ROUTES else math.inf, gap / OVERFLOW_SHRINK
                 continue
             limit = MOST_ROUTES
-            routes, bound = self._choose(pool, upper, fleet)
+            routes, bound = self._choose(pool, fleet, searched, upper)
             if routes is not None:
                 best, upper = Bundles(routes), self.travel.total(routes)
                 widest = upper - self.value
@@ -155,18 +160,20 @@ class _Lists:
             wider = min(widest, GAP_GROWTH * gap)
             if not gap < wider < too_wide:
                 break
-            gap = wider
+            searched, gap = gap if bound >= upper * (1.0 - OPTIMAL_GAP) else 0.0, wider
         if upper < math.inf and _closed(upper, proven):
             return replace(best, status="optimal"), upper
         return best, proven if widest >= 0.0 else math.inf
 
-    def _choose(self, pool: Pool, upper: float, fleet: Fleet) -> tuple[tuple[tuple[int, ...], ...] | None, float]:
+    def _choose(
+        self, pool: Pool, fleet: Fleet, searched: float, upper: float
+    ) -> tuple[tuple[tuple[int, ...], ...] | None, float]:
         """The cheapest routes in the pool, None unless they beat ``upper``, and a bound on all others in it, metres."""
         if not len(pool):
             return None, math.inf
         idle_m = sum(float(idle_costs(group).sum()) for group in self.groups)
         target = upper * (1.0 - OPTIMAL_GAP / 2.0) - idle_m
-        choice = choose_routes(pool, fleet, self.prices, target, self.deadline)
+        choice = choose_routes(pool, fleet, self.prices, searched, target, self.deadline)
         if choice.routes is None:
             return None, choice.bound + idle_m
         routes: list[tuple[int, ...]] = [()] * self.scene.num_drones

@@ -24,13 +24,16 @@ __all__ = ["NEIGHBOURS", "DroneGroup", "ascend_prices", "evaluate", "group_drone
 NEIGHBOURS = 8
 
 #: The target of a step lies this share of the best bound above it at first; the ascent ends below the least.
-FIRST_REACH, LEAST_REACH = 0.05, 1e-6
+FIRST_REACH, LEAST_REACH = 0.05, 1e-5
 
-#: The reach is halved after this many rounds that gain less than this share of it.
+#: The reach shrinks after this many rounds that gain less than this share of it.
 PATIENCE, LEAST_GAIN = 4, 0.1
 
 #: Share of the new direction in a step; the rest is the last direction.
-DIRECTION_SHARE = 0.7
+DIRECTION_SHARE = 0.5
+
+#: A step is divided by the direction's squared norm, or by this share of the gradient's where that is more.
+LEAST_NORM_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +113,13 @@ def evaluate(groups: list[DroneGroup], prices: FloatArray) -> tuple[float, Float
 
 
 def ascend_prices(
-    groups: list[DroneGroup], prices: FloatArray, *, rounds: int, upper: float, time_limit_s: float | None = None
+    groups: list[DroneGroup],
+    prices: FloatArray,
+    *,
+    rounds: int,
+    upper: float,
+    cooling: float = 0.7,
+    time_limit_s: float | None = None,
 ) -> FloatArray:
     """Better prices (M,) by a projected subgradient with Polyak steps to a moving target.
 
@@ -119,6 +128,7 @@ def ascend_prices(
         prices: (M,) to begin with, >= 0.
         rounds: Evaluations at most.
         upper: Travel of a known allocation, or infinity; no target lies above it.
+        cooling: What the reach shrinks to; nearer to 1 ends nearer to the maximum, after more rounds.
         time_limit_s: Stops the ascent after the round in which it passes.
     """
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
@@ -130,16 +140,16 @@ def ascend_prices(
         if value > best:
             best, best_prices = value, prices
         if stale >= PATIENCE:
-            reach, stale = 0.5 * reach, 0
+            reach, stale = cooling * reach, 0
         gradient = 1.0 - visits
-        gradient[(prices <= 0.0) & (gradient < 0.0)] = 0.0
+        steepest = gradient[(prices > 0.0) | (gradient > 0.0)]  # what would not leave the positive prices
         late = deadline is not None and time.monotonic() > deadline
-        if not gradient.any() or reach < LEAST_REACH or late:
+        if not steepest.any() or reach < LEAST_REACH or late:
             break
         share = DIRECTION_SHARE if step else 1.0
         direction = share * gradient + (1.0 - share) * direction
         direction[(prices <= 0.0) & (direction < 0.0)] = 0.0
         target = min(best * (1.0 + reach), max(upper, best))
-        length = (target - value) / max(float(direction @ direction), float(gradient @ gradient))
+        length = (target - value) / max(float(direction @ direction), LEAST_NORM_SHARE * float(steepest @ steepest))
         prices = np.maximum(0.0, prices + length * direction)
     return best_prices

@@ -1,10 +1,10 @@
 """The program that picks routes from a pool: every task once, every drone at most one route.
 
-Its linear relaxation is tightened by cuts while they lift it; then branch and bound takes the routes of
-least slack, as many as it can do quickly, and more of them only if the choice it finds does not show that they are
-not needed. HiGHS holds a part of the pool, to which routes are added as its duals ask for them. The relaxation's
-bounds are recomputed here from the duals over the whole pool, never read from the solver; branch and bound is taken
-at its word.
+Its linear relaxation is tightened by cuts while there are any; then branch and bound takes the routes of least slack,
+as many as it can do quickly. What is left to be found after that has one of the other routes: with this rule as one
+more row the relaxation goes on, until its bound shows that nothing is left. HiGHS holds a part of the pool, to which
+routes are added as its duals ask for them. The relaxation's bounds are recomputed here from the duals over the whole
+pool, never read from the solver; branch and bound is taken at its word.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flockopt.allocate.cuts import no_cuts, violated_cuts
+from flockopt.allocate.cuts import Cuts, no_cuts, violated_cuts
 from flockopt.allocate.enumeration import Pool
 from flockopt.allocate.highs import Program, Solution
 from flockopt.geometry import FloatArray
@@ -29,8 +29,8 @@ CUTS_PER_ROUND, CUT_ROUNDS = 60, 40
 #: Routes in the first linear program, and added to it in a round, at most.
 FIRST_ROUTES, MORE_ROUTES = 1500, 500
 
-#: Routes in the first branch and bound; each further one takes so many times more.
-BRANCHED_ROUTES, BRANCHED_GROWTH = 400, 3
+#: Routes in the first branch and bound at most; each further one takes so many times more.
+BRANCHED_ROUTES, BRANCHED_GROWTH = 400, 1.6
 
 #: Shares of routes nearer to an integer than this are one, and reduced costs above minus this are none, metres.
 INTEGRALITY, PRICE_TOLERANCE_M = 1e-6, 1e-7
@@ -64,13 +64,14 @@ class Choice:
     routes: NDArray[np.int64] | None
 
 
-def choose_routes(pool: Pool, fleet: Fleet, prices: FloatArray, upper: float, deadline: float) -> Choice:
+def choose_routes(pool: Pool, fleet: Fleet, prices: FloatArray, least_slack: float, upper: float, deadline: float) -> Choice:
     """The cheapest routes that serve every task once.
 
     Args:
         pool: Routes to choose from, at least one.
         fleet: Whose demands and capacities the routes keep.
         prices: (M,) m, under which the pool was listed.
+        least_slack: Only choices with a route of more slack under these prices are asked for, metres.
         upper: Only choices cheaper than this are asked for, metres above idle flying; may be infinite.
         deadline: `time.monotonic` at which to stop.
 
@@ -78,30 +79,46 @@ def choose_routes(pool: Pool, fleet: Fleet, prices: FloatArray, upper: float, de
         MissingExtra: If highspy is not installed.
         SolverFailed: If HiGHS fails.
     """
-    relaxation = _Relaxation(pool, fleet, prices, deadline)
-    for _ in range(CUT_ROUNDS):
+    relaxation = _Relaxation(pool, fleet, prices, least_slack, deadline)
+    best, most, rounds = None, BRANCHED_ROUTES, 0
+    while True:
         shares = relaxation.solve()
-        if shares is None or relaxation.bound >= upper:
-            return Choice(relaxation.bound, None)
+        if shares is None or relaxation.bound >= upper or time.monotonic() > deadline:
+            return Choice(min(relaxation.bound, upper), best)
         used = np.flatnonzero(shares > INTEGRALITY)
         if (shares[used] > 1.0 - INTEGRALITY).all():
             return Choice(relaxation.bound, used)
-        if time.monotonic() > deadline or (relaxation.slacks <= upper - relaxation.bound).sum() <= BRANCHED_ROUTES:
-            break
-        if not relaxation.cut(used, shares[used]):
-            break
-    return _branch_and_bound(relaxation, upper, deadline)
+        order = np.argsort(relaxation.slacks, kind="stable")
+        needed = order[: np.searchsorted(relaxation.slacks[order], upper - relaxation.bound, side="right")]
+        if len(needed) > most and rounds < CUT_ROUNDS and relaxation.cut(used, shares[used]):
+            rounds += 1
+            continue
+        solution = relaxation.integer_program(needed[:most]).solve_integer(upper, deadline - time.monotonic())
+        if solution.values is not None:
+            chosen = needed[:most][solution.values > 0.5]
+            if pool.costs[chosen].sum() < upper:
+                best, upper = chosen, float(pool.costs[chosen].sum())
+        if solution.status == "stopped":
+            return Choice(min(relaxation.bound, upper), best)
+        if len(needed) <= most:
+            return Choice(upper, best)
+        relaxation.require_one(np.setdiff1d(order, needed[:most]))
+        most, rounds = int(BRANCHED_GROWTH * most), 0
 
 
 class _Relaxation:
     """The linear relaxation over a pool and what its last duals prove."""
 
-    def __init__(self, pool: Pool, fleet: Fleet, prices: FloatArray, deadline: float) -> None:
+    def __init__(self, pool: Pool, fleet: Fleet, prices: FloatArray, least_slack: float, deadline: float) -> None:
         self.pool, self.fleet, self.deadline = pool, fleet, deadline
         self.num_tasks, self.num_rows = len(prices), len(prices) + len(fleet.must_fly)
         self.cuts = no_cuts(len(pool))
         self.bound, self.slacks = self._prove(np.append(prices, np.zeros(len(fleet.must_fly))))
-        self.held = np.argsort(self.slacks, kind="stable")[:FIRST_ROUTES]
+        if least_slack > 0.0:
+            self.cuts = Cuts((self.slacks > least_slack)[None], np.ones(1), np.full(1, np.inf))
+        order = np.argsort(self.slacks, kind="stable")
+        split = int(np.searchsorted(self.slacks[order], least_slack, side="right")) if least_slack > 0.0 else 0
+        self.held = np.concatenate([order[:split][:FIRST_ROUTES], order[split:][:FIRST_ROUTES]])
         self.program = self.integer_program(self.held)
 
     def integer_program(self, routes: NDArray[np.int64]) -> Program:
@@ -134,6 +151,14 @@ class _Relaxation:
         self.program.add_rows(found.members[:, self.held], found.lower, found.upper)
         self.cuts = self.cuts.joined(found)
         return len(found.lower) > 0
+
+    def require_one(self, routes: NDArray[np.int64]) -> None:
+        """Ask from now on for choices with at least one of these routes."""
+        members = np.zeros((1, len(self.pool)), dtype=np.bool_)
+        members[0, routes] = True
+        row = Cuts(members, np.ones(1), np.full(1, np.inf))
+        self.program.add_rows(members[:, self.held], row.lower, row.upper)
+        self.cuts = self.cuts.joined(row)
 
     def _wanted(self, solution: Solution) -> NDArray[np.int64]:
         """Routes outside the program that would improve it; the next by slack where it has no solution at all."""
@@ -180,24 +205,3 @@ class _Relaxation:
         rows = np.concatenate([self.pool.tasks[routes], drone_rows, cut_rows], axis=1)
         starts = np.concatenate([[0], np.cumsum((rows >= 0).sum(axis=1))])
         return starts.astype(np.int32), rows[rows >= 0].astype(np.int32)
-
-
-def _branch_and_bound(relaxation: _Relaxation, upper: float, deadline: float) -> Choice:
-    """Over the routes of least slack, more of them until the choice found lies below what the others cost."""
-    order = np.argsort(relaxation.slacks, kind="stable")
-    bound, best, count = relaxation.bound, None, BRANCHED_ROUTES
-    while bound < upper and time.monotonic() < deadline:
-        needed = int(np.searchsorted(relaxation.slacks[order], upper - relaxation.bound, side="right"))
-        routes = order[: min(count, needed)]
-        solution = relaxation.integer_program(routes).solve_integer(upper, deadline - time.monotonic())
-        if solution.values is not None:
-            chosen = routes[solution.values > 0.5]
-            if relaxation.pool.costs[chosen].sum() < upper:
-                best, upper = chosen, float(relaxation.pool.costs[chosen].sum())
-        # A choice with any other route costs at least that route's slack more than the relaxation.
-        others = relaxation.bound + relaxation.slacks[order[count]] if count < needed else math.inf
-        bound = max(bound, min(solution.bound, others, upper))
-        if count >= needed or solution.status == "stopped":
-            break
-        count *= BRANCHED_GROWTH
-    return Choice(bound, best)
