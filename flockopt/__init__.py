@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bound", "Bounds", "Box", "Bundles", "Changes", "Curve", "Cylinder", "Drone", "Export", "Flight", "FlockError",
-    "MissingExtra", "Origin", "Plan", "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task", "Travel",
-    "Visit", "__version__", "certify", "compute_travel", "decode", "deconflict", "export", "generate", "lower_bound", "plan",
-    "refine_bundles", "replan", "show",
+    "MissingExtra", "Origin", "Plan", "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task",
+    "Travel", "Visit", "__version__", "certify", "compute_travel", "decode", "deconflict", "export", "generate",
+    "lower_bound", "plan", "refine_bundles", "replan", "show",
 ]  # fmt: skip
 
 #: Which module defines each public name.
