@@ -8,8 +8,9 @@ polyline itself, which is clear.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,19 +24,10 @@ from flockopt.trajectory.room import MOST_PIECES, Room
 from flockopt.trajectory.waypoints import FLY_THROUGH, Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
 from flockopt.travel import Travel, compute_travel
 
+if TYPE_CHECKING:
+    from flockopt.trajectory.trial import PolylineLaw
+
 __all__ = ["LAWS", "Law", "decode", "fly"]
-
-#: Slower legs tried beside a fault, as shares of the speed they had, before stopping is considered.
-SLOWER_SHARES = (0.7, 0.45)
-
-#: Speeds tried on the first leg of a drone that starts in motion, as shares of its limit.
-ENTRY_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
-
-#: Share of the limits that flights from a moving start are planned for: no time scaling takes up what is left of them.
-MOVING_SHARE = 0.98
-
-#: By how much the entry from a moving start may pass the limits as they are used: half of what is held in reserve.
-ENTRY_TOLERANCE = 5e-4
 
 #: Seconds a drone that serves a task where it stands is given for it.
 SHORTEST_FLIGHT_S = 0.1
@@ -97,22 +89,28 @@ def _chosen_law(scene: Scene, name: str) -> Law:
     return LAWS[name]
 
 
-def fly(scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None) -> Flight:
-    """One drone's flight through its waypoints by the fly-through law, mended where it is not clear.
+def fly(
+    scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None, law: PolylineLaw | None = None
+) -> Flight:
+    """One drone's flight through its waypoints without stopping, mended where it is not clear.
 
     Args:
         scene: The scene.
         drone: Who flies.
         waypoints: Where it flies.
         avoided: (K, 9) more obstacle rows to keep clear of, or None.
+        law: What flies a polyline; None for the fly-through law, `flockopt.trajectory.blend.fly_polyline`.
     """
+    from flockopt.trajectory.blend import fly_polyline
+    from flockopt.trajectory.trial import entering, mended, shortened, widened
+
     if not waypoints.moves:
         return _stay(scene, drone, waypoints)
     room = Room.around(scene, drone, waypoints, avoided)
-    best = _mended(_widened(_entering(waypoints, room), room), room)
+    best = mended(widened(entering(waypoints, room, law or fly_polyline)))
     if drone.max_distance is not None and Curve(best.breakpoints, best.coefficients).length > drone.max_distance:
-        best = _Trial.make(replace(waypoints, rest_s=np.maximum(waypoints.rest_s, 0.0)), room)
-    return _shortened(best, room).flight(scene)
+        best = best.again(waypoints).stopping()
+    return shortened(best).flight(scene)
 
 
 @dataclass(frozen=True)
@@ -146,131 +144,39 @@ def _quintic_samples(scene: Scene, travel: Travel, drone: int, route: Sequence[i
     return corrected_samples(scene, travel, drone, route, samples)
 
 
-#: The laws by name: without stops; and the paper's, which stops at every anchor.
-LAWS: dict[str, Law] = {"fly-through": Law(_fly_through), "quintic": Law(_quintic, _quintic_samples, from_rest=True)}
+def _ruckig(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
+    from flockopt.trajectory import timing
+
+    flights = {}
+    for index, waypoints in ways.items():
+        drone = scene.drones[index]
+        flight = fly(scene, drone, waypoints, law=timing.fly_polyline)
+        if flight.curve.num_pieces > MOST_PIECES:
+            flight = min(flight, fly(scene, drone, waypoints), key=lambda one: one.curve.num_pieces)
+        flights[drone.id] = flight
+    return flights
+
+
+#: The laws by name: without stops; the paper's, which stops at every anchor; without stops, by jerk-limited profiles
+#: from ruckig, or as the first where those take more pieces than a trajectory memory holds.
+LAWS: dict[str, Law] = {
+    "fly-through": Law(_fly_through),
+    "quintic": Law(_quintic, _quintic_samples, from_rest=True),
+    "ruckig": Law(_ruckig),
+}
 
 
 def _stay(scene: Scene, drone: Drone, waypoints: Waypoints) -> Flight:
     """The flight of a drone that serves its tasks where it stands, or brakes to a halt and returns."""
+    from flockopt.trajectory.blend import fly_polyline
+    from flockopt.trajectory.trial import Trial
+
     if np.any(drone.velocity) or np.any(drone.acceleration):
         start = waypoints.points[0]
         there = start + np.array(drone.velocity) * drone.max_speed / drone.flyable_acceleration
         rest_s = np.array([FLY_THROUGH, FLY_THROUGH, 0.0])
         loop = Waypoints(np.array([start, there, start]), rest_s, ((), (), waypoints.tasks[0]))
-        return _Trial.make(loop, Room.around(scene, drone, loop)).flight(scene)
+        return Trial.make(loop, Room.around(scene, drone, loop), fly_polyline).flight(scene)
     seconds = max(float(waypoints.rest_s[0]), SHORTEST_FLIGHT_S)
     curve = Curve(np.array([0.0, seconds]), waypoints.points[0].reshape(1, 3, 1))
     return Flight(curve, waypoints.visits(scene, np.zeros(1)))
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """A flight of given waypoints at given speeds, and where it first leaves the free space."""
-
-    waypoints: Waypoints
-    caps: FloatArray  # (n,) m/s on each leg
-    breakpoints: FloatArray  # (P + 1,) s
-    coefficients: FloatArray  # (P, 3, D)
-    times: FloatArray  # (n + 1,) s at each waypoint
-    fault: int  # owner of the first piece that is not clear (2 k: around point k, 2 k + 1: the leg after it), or -1
-
-    @classmethod
-    def make(cls, waypoints: Waypoints, room: Room, caps: FloatArray | None = None, unwanted: int = 0) -> _Trial:
-        from flockopt.continuous import curve_clear
-        from flockopt.trajectory.blend import first_outside, fly_polyline
-
-        limits = room.limits * MOVING_SHARE if room.in_motion else room.limits
-        if caps is None:
-            caps = np.full(len(waypoints.points) - 1, limits[0])
-        breakpoints, coefficients, times, owners = fly_polyline(
-            waypoints.points, waypoints.rest_s, caps, limits, room.velocity, room.acceleration, unwanted
-        )
-        blocked = curve_clear(room.table, room.boxes, room.needs, breakpoints, coefficients)
-        outside = first_outside(room.lower, room.upper, breakpoints, coefficients)
-        faults = [int(owners[piece]) for piece in (blocked, outside) if piece >= 0]
-        return cls(waypoints, caps, breakpoints, coefficients, times, min(faults, default=-1))
-
-    @property
-    def seconds(self) -> float:
-        """How long the flight takes."""
-        return float(self.breakpoints[-1])
-
-    def enters(self, room: Room) -> bool:
-        """Whether the limits are kept, which a moving start may make impossible."""
-        from flockopt.bernstein import control_points, largest_norm
-
-        control = control_points(self.breakpoints, self.coefficients, self.coefficients.shape[2])
-        norms = [largest_norm(self.breakpoints, control, order)[0] for order in (1, 2, 3)]
-        return bool((norms <= room.limits * (1.0 + ENTRY_TOLERANCE)).all())
-
-    def flight(self, scene: Scene) -> Flight:
-        """The flight with its visits."""
-        return Flight(Curve(self.breakpoints, self.coefficients), self.waypoints.visits(scene, self.times))
-
-    def alternatives(self) -> Iterator[tuple[Waypoints, FloatArray]]:
-        """Ways to swing less at the fault: slower legs beside it, or a stop at the points beside it."""
-        last = len(self.waypoints.points) - 1
-        points = {self.fault // 2, (self.fault + 1) // 2}
-        inner = [point for point in sorted(points) if 0 < point < last and self.waypoints.rest_s[point] < 0.0]
-        legs = sorted({leg for point in points for leg in (point - 1, point) if 0 <= leg < last})
-        for share in SLOWER_SHARES:
-            caps = self.caps.copy()
-            caps[legs] *= share
-            yield self.waypoints, caps
-        for stops in [[point] for point in inner] + ([inner] if len(inner) > 1 else []):
-            rest_s = self.waypoints.rest_s.copy()
-            rest_s[stops] = 0.0
-            yield replace(self.waypoints, rest_s=rest_s), self.caps
-
-
-def _entering(waypoints: Waypoints, room: Room) -> _Trial:
-    """The first trial; of a drone that starts in motion, at the highest speed of its first leg that it can enter."""
-    trial = _Trial.make(waypoints, room)
-    if not room.in_motion:
-        return trial
-    for share in ENTRY_SHARES:
-        slower = _Trial.make(waypoints, room, np.concatenate([trial.caps[:1] * share, trial.caps[1:]]))
-        if slower.enters(room):
-            return slower
-    return trial
-
-
-def _widened(trial: _Trial, room: Room) -> _Trial:
-    """The trial with close corners merged as long as that saves time, or pieces of which there are too many."""
-    from flockopt.trajectory.corners import merged_corners
-
-    while True:
-        ways = merged_corners(trial.waypoints, room.table, room.boxes, room.needs, room.lower, room.upper)
-        best = min((_Trial.make(way, room) for way in ways), key=lambda other: other.seconds, default=None)
-        if best is None or (best.seconds >= trial.seconds and len(trial.coefficients) <= MOST_PIECES):
-            return trial
-        trial = best
-
-
-def _shortened(trial: _Trial, room: Room) -> _Trial:
-    """The trial with fewer pieces where it has more than `MOST_PIECES`: cruises are given up, shortest first."""
-    excess = 0 if room.in_motion else len(trial.coefficients) - MOST_PIECES
-    for unwanted in range(excess, len(trial.caps) + 1) if excess > 0 else ():
-        fewer = _Trial.make(trial.waypoints, room, trial.caps, unwanted)
-        if fewer.fault < 0 and len(fewer.coefficients) <= MOST_PIECES:
-            return fewer
-    return trial
-
-
-def _mended(trial: _Trial, room: Room) -> _Trial:
-    """The trial with its faults mended one after another, each in the way that costs least time."""
-    rounds = 4 * len(trial.caps)
-    while trial.fault >= 0 and rounds > 0:
-        rounds -= 1
-        tried = [_Trial.make(waypoints, room, caps) for waypoints, caps in trial.alternatives()]
-        better = [other for other in tried if other.fault < 0 or other.fault > trial.fault]
-        if better:
-            trial = min(better, key=lambda other: other.seconds)
-        elif (tried[-1].waypoints.rest_s != trial.waypoints.rest_s).any():
-            trial = tried[-1]
-        else:
-            break
-    if trial.fault >= 0:
-        stopping = replace(trial.waypoints, rest_s=np.maximum(trial.waypoints.rest_s, 0.0))
-        return _Trial.make(stopping, room)
-    return trial
