@@ -17,7 +17,7 @@ from flockopt.geometry import BOX, SPHERE, FloatArray
 from flockopt.kernels import point_distance, point_gradient
 from flockopt.nearness import Space
 
-__all__ = ["Features", "make_features"]
+__all__ = ["Features", "make_features", "unrestricted"]
 
 #: Sides of the polygon around a grown footprint: a multiple of four, so that a box keeps its faces.
 NUM_SIDES = 8
@@ -29,6 +29,8 @@ SPACING_SHARE = 1.0 / 12.0
 LEAST_STRETCH_M = 1e-6
 #: How far, as the product of two sines, an edge may be from tangent at a feature and still be of use.
 EDGE_SLACK, SPHERE_SLACK = 1e-6, 0.25
+#: The same for how far a bend may turn away from the obstacle: a sampled bend is a little off the best one.
+BEND_SLACK = 0.3
 
 
 class Features(NamedTuple):
@@ -39,15 +41,20 @@ class Features(NamedTuple):
     second: FloatArray  # (F, 3) outward normal of the other face
     along: FloatArray  # (F, 3) unit direction of the edge; zero on a sphere
     slack: FloatArray  # (F,) see EDGE_SLACK
+    bend: float  # how far, as a sine, a bend may turn away from the obstacle it is around
 
 
 def make_features(space: Space) -> Features:
     """All features of a space, in the order of its obstacles."""
     spacing = SPACING_SHARE * float((space.upper - space.lower).max())
     rows = _sample(space, _edges(space.table, space.needs), spacing)
-    return Features(
-        *(np.ascontiguousarray(rows[:, 3 * part : 3 * part + 3]) for part in range(4)), np.ascontiguousarray(rows[:, 12])
-    )
+    parts = [np.ascontiguousarray(rows[:, 3 * part : 3 * part + 3]) for part in range(4)]
+    return Features(parts[0], parts[1], parts[2], parts[3], np.ascontiguousarray(rows[:, 12]), BEND_SLACK)
+
+
+def unrestricted(features: Features) -> Features:
+    """The same features for any line through them and any bend at them."""
+    return features._replace(slack=np.full(len(features.slack), np.inf), bend=np.inf)
 
 
 @njit(cache=True)

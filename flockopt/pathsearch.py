@@ -87,10 +87,11 @@ def within_ellipse(
         else:
             w = parent[u]
             i0, i1, i2 = at[0] - position[w, 0], at[1] - position[w, 1], at[2] - position[w, 2]
-        if wraps(first, second, u, i0, i1, i2, goal[0] - at[0], goal[1] - at[1], goal[2] - at[2]):
-            if sees(space, features, views, target, goal, u, at, guess) < 0:
-                best, last = key, u
-                continue
+        o0, o1, o2 = goal[0] - at[0], goal[1] - at[1], goal[2] - at[2]
+        ends = wraps(first, second, features.bend, u, i0, i1, i2, o0, o1, o2)
+        if ends and sees(space, features, views, target, goal, u, at, guess) < 0:
+            best, last = key, u
+            continue
         for m in range(size):
             if settled[m]:
                 continue
@@ -101,7 +102,7 @@ def within_ellipse(
                 continue
             if not (tangent(first, second, slack, u, o0, o1, o2) and tangent(first, second, slack, v, o0, o1, o2)):
                 continue
-            if not wraps(first, second, u, i0, i1, i2, o0, o1, o2):
+            if not wraps(first, second, features.bend, u, i0, i1, i2, o0, o1, o2):
                 continue
             there[0], there[1], there[2] = position[v, 0], position[v, 1], position[v, 2]
             if parent[v] < 0 and views[source, v] == UNKNOWN:
@@ -229,7 +230,7 @@ def shortest(
             length = so_far + math.sqrt(o0 * o0 + o1 * o1 + o2 * o2)
             if length < best[t]:
                 useful = True
-                if wraps(first, second, u, i0, i1, i2, o0, o1, o2):
+                if wraps(first, second, features.bend, u, i0, i1, i2, o0, o1, o2):
                     goal[0], goal[1], goal[2] = goals[t, 0], goals[t, 1], goals[t, 2]
                     if sees(space, features, views, targets[t], goal, u, at, -1) < 0:
                         best[t], last[t] = length, u
@@ -249,7 +250,7 @@ def shortest(
             length = so_far + math.sqrt(o0 * o0 + o1 * o1 + o2 * o2)
             if length >= distance[v] or length + estimate[v] >= worst:
                 continue
-            if wraps(first, second, u, i0, i1, i2, o0, o1, o2):
+            if wraps(first, second, features.bend, u, i0, i1, i2, o0, o1, o2):
                 distance[v], parent[v], key[v] = length, u, length + estimate[v]
                 if place[v] < 0:
                     place[v] = size

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
 
-from flockopt.features import Features, make_features
+from flockopt.features import Features, make_features, unrestricted
 from flockopt.geometry import FloatArray
+from flockopt.legs import Drawn, Legs, draw, join, merge, pack
 from flockopt.nearness import Space, blocker, make_space
-from flockopt.shortening import polyline_length, shorten
 from flockopt.pathsearch import shortest, within_ellipse
 from flockopt.visibility import Sight, empty_sight, segment_length
 
@@ -22,28 +22,11 @@ __all__ = ["Legs", "Roadmap"]
 ELLIPSES = (1.02, 1.1)
 
 
-@dataclass(frozen=True, eq=False)
-class Legs:
-    """Shortest paths between the wanted pairs of some points.
-
-    Attributes:
-        lengths: (P, P) m, symmetric; infinite where there is no way or the pair was not wanted.
-        pairs: (L, 2) the pairs, smaller index first, in rising order, whose path bends.
-        offsets: (L + 1,) where each pair's bends begin in ``bends``.
-        bends: (B, 3) m, inner vertices from the smaller index to the larger.
-    """
-
-    lengths: FloatArray
-    pairs: NDArray[np.int64]
-    offsets: NDArray[np.int64]
-    bends: FloatArray
-
-
 class Roadmap:
     """Paths for one kind of drone among fixed obstacles.
 
-    Features are made and looked around from only when a straight flight is blocked, and what was found is kept
-    for later queries.
+    Features are made only when a straight flight is blocked, and what they see is found only as far as a search
+    gets; both are kept for later queries.
 
     Args:
         table: (K, 9) obstacles, see `flockopt.geometry.OBSTACLE_COLUMNS`.
@@ -69,19 +52,55 @@ class Roadmap:
     def legs(self, points: FloatArray, wanted: NDArray[np.bool_]) -> Legs:
         """Paths between all pairs i < j of ``points`` (P, 3) with ``wanted[i, j]`` (P, P)."""
         points = np.ascontiguousarray(points, dtype=np.float64)
-        lengths, blocked = _straight(self._space, points, wanted)
-        if not blocked.any():
-            return Legs(lengths, np.empty((0, 2), dtype=np.int64), np.zeros(1, dtype=np.int64), np.empty((0, 3)))
+        lengths, pairs = _straight(self._space, points, wanted)
+        if not len(pairs):
+            return Legs(lengths, pairs, np.zeros(1, dtype=np.int64), np.empty((0, 3)))
         if self._features is None or self._sight is None:
             self._features = make_features(self._space)
             self._sight = empty_sight(len(self._features.position))
-        self._sight, pairs, offsets, bends = _bent(self._space, self._features, self._sight, points, blocked, lengths)
-        return Legs(lengths, pairs, offsets, bends)
+        self._sight, drawn = self._draw(self._features, self._sight, points, pairs, lengths)
+        drawn, _ = join(self._space, points, drawn, lengths)
+        if (drawn.count < 0).any():
+            drawn = self._link(self._features, points, drawn, lengths)
+        return Legs(lengths, *pack(drawn))
+
+    def _draw(
+        self, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64], lengths: FloatArray
+    ) -> tuple[Sight, Drawn]:
+        sight, begin, count, chains = _chains(self._space, features, sight, points, pairs)
+        return sight, draw(self._space, features, points, pairs, begin, count, chains, lengths)
+
+    def _link(self, features: Features, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
+        """Search again, over all features and all bends, for a way between groups of points that have none yet.
+
+        Each search starts in the group that sees least: where points are walled in, it ends soon.
+        """
+        features = unrestricted(features)
+        sight = empty_sight(len(features.position))
+        closed: set[int] = set()
+        while True:
+            missing = drawn.pairs[drawn.count < 0]
+            _, group = connected_components(np.isfinite(lengths), directed=False)
+            done = {int(group[point]) for point in closed}
+            sources = [int(np.flatnonzero(group == name)[0]) for name in np.unique(group[missing]) if name not in done]
+            if len(sources) < 2:
+                return drawn
+            source = min(sources, key=lambda point: _num_seen(self._space, features, points[point]))
+            inside = group == group[source]
+            across = missing[inside[missing[:, 0]] != inside[missing[:, 1]]]
+            across = np.where(inside[across[:, :1]], across, across[:, ::-1])
+            sight, extra = self._draw(features, sight, points, across[np.argsort(across[:, 0], kind="stable")], lengths)
+            if (extra.count < 0).all():
+                closed.add(source)
+                continue
+            drawn, found = merge(drawn, extra), True
+            while found:
+                drawn, found = join(self._space, points, drawn, lengths)
 
 
 @njit(cache=True)
-def _straight(space: Space, points: FloatArray, wanted: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Lengths of the clear straight flights, and which of the wanted ones are blocked."""
+def _straight(space: Space, points: FloatArray, wanted: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Lengths (P, P) of the clear straight flights, and the wanted pairs (L, 2) whose flight is blocked."""
     num_points = points.shape[0]
     lengths = np.full((num_points, num_points), np.inf)
     blocked = np.zeros((num_points, num_points), dtype=np.bool_)
@@ -90,103 +109,95 @@ def _straight(space: Space, points: FloatArray, wanted: NDArray[np.bool_]) -> tu
         lengths[i, i] = 0.0
         for j in range(i + 1, num_points):
             if wanted[i, j]:
-                found = blocker(space, points[i], points[j], guess)
-                if found < 0:
+                guess = blocker(space, points[i], points[j], guess)
+                blocked[i, j] = guess >= 0
+                if guess < 0:
                     lengths[i, j] = lengths[j, i] = segment_length(points[i], points[j])
-                else:
-                    blocked[i, j] = True
-                    guess = found
-    return lengths, blocked
+    return lengths, np.argwhere(blocked)
 
 
 @njit(cache=True)
-def _bent(
-    space: Space, features: Features, sight: Sight, points: FloatArray, blocked: NDArray[np.bool_], lengths: FloatArray
-) -> tuple[Sight, NDArray[np.int64], NDArray[np.int64], FloatArray]:
-    """Shortest paths for the blocked pairs; fills ``lengths`` and returns the fields of `Legs`."""
-    num_points, num_features = points.shape[0], features.position.shape[0]
+def _num_seen(space: Space, features: Features, point: FloatArray) -> int:
+    """How many features a point sees."""
+    count, guess = 0, -1
+    for v in range(features.position.shape[0]):
+        guess = blocker(space, point, features.position[v], guess)
+        count += guess < 0
+    return count
+
+
+@njit(cache=True)
+def _chains(
+    space: Space, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64]
+) -> tuple[Sight, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The features that shortest paths between pairs bend around.
+
+    Args:
+        space: What segments are checked against.
+        features: Where paths may bend.
+        sight: What is known of who sees whom; filled further.
+        points: (P, 3) m.
+        pairs: (L, 2) from, to; pairs of one origin stand together.
+
+    Returns:
+        The sight; where each pair's chain begins, (L,); how long it is, (L,), -1 where none is found; the chains.
+    """
+    num_points, num_features, num_pairs = points.shape[0], features.position.shape[0], pairs.shape[0]
     views = np.zeros((num_points, num_features), dtype=np.uint8)
-    parent = np.empty(num_features, dtype=np.int64)
-    from_source = np.empty(num_features)
-    path, along = np.zeros((num_features + 2, 3)), np.zeros((num_features + 2, 3))
-    pairs = np.argwhere(blocked)
-    offsets = np.zeros(pairs.shape[0] + 1, dtype=np.int64)
-    bends = np.empty((4 * pairs.shape[0] + 16, 3))
-    begin, count_of = np.empty(pairs.shape[0], dtype=np.int64), np.full(pairs.shape[0], -1, dtype=np.int64)
-    used, pair = 0, 0
-    left = np.empty(num_points, dtype=np.int64)
-    while pair < pairs.shape[0]:
-        source = pairs[pair, 0]
-        stop = pair
-        while stop < pairs.shape[0] and pairs[stop, 0] == source:
-            stop += 1
+    parent, from_source = np.empty(num_features, dtype=np.int64), np.empty(num_features)
+    begin, count = np.zeros(num_pairs, dtype=np.int64), np.full(num_pairs, -1, dtype=np.int64)
+    chains, used = np.empty(4 * num_pairs + 16, dtype=np.int64), 0
+    left = np.empty(num_pairs, dtype=np.int64)
+    first = 0
+    while first < num_pairs:
+        source, num_left, stop = pairs[first, 0], 0, first
         for v in range(num_features):
             from_source[v] = segment_length(points[source], features.position[v])
-        num_left = 0
-        for index in range(pair, stop + 1):
-            if index < stop:
-                target = pairs[index, 1]
-                straight = segment_length(points[source], points[target])
-                last = -1
-                for share in ELLIPSES:
-                    length, last = within_ellipse(
-                        space, features, points, views, source, target, from_source, share * straight, parent
-                    )
-                    if last >= 0:
-                        break
-                if last < 0:
-                    left[num_left] = index
-                    num_left += 1
-                    continue
-                used, bends = _keep(space, features, points, source, target, last, parent, path, along, bends, used, lengths, begin, count_of, index)
-            elif num_left > 0:
-                targets = pairs[left[:num_left], 1]
-                best = np.full(num_left, np.inf)
-                lasts = np.full(num_left, -1, dtype=np.int64)
-                sight = shortest(space, features, sight, points, views, source, targets, best, lasts, parent)
-                for t in range(num_left):
-                    if lasts[t] >= 0:
-                        used, bends = _keep(space, features, points, source, targets[t], lasts[t], parent, path, along, bends, used, lengths, begin, count_of, left[t])
-        pair = stop
-    # pack the found ones in the order of the pairs
-    found = np.nonzero(count_of >= 0)[0]
-    packed = np.empty((used, 3))
-    offsets = np.zeros(found.shape[0] + 1, dtype=np.int64)
-    for i in range(found.shape[0]):
-        b, c = begin[found[i]], count_of[found[i]]
-        offsets[i + 1] = offsets[i] + c
-        packed[offsets[i] : offsets[i + 1]] = bends[b : b + c]
-    return sight, pairs[found], offsets, packed
-
-
-@njit(cache=True)
-def _keep(space, features, points, source, target, last, parent, path, along, bends, used, lengths, begin, count_of, index):
-    count = _trace(features, points[source], points[target], last, parent, path, along)
-    count = shorten(space, path, along, count)
-    lengths[source, target] = lengths[target, source] = polyline_length(path, count)
-    if used + count > bends.shape[0]:
-        wider = np.empty((2 * (used + count), 3))
-        wider[:used] = bends[:used]
-        bends = wider
-    bends[used : used + count - 2] = path[1 : count - 1]
-    begin[index], count_of[index] = used, count - 2
-    return used + count - 2, bends
+        while stop < num_pairs and pairs[stop, 0] == source:
+            target = pairs[stop, 1]
+            straight, last = segment_length(points[source], points[target]), -1
+            for share in ELLIPSES:
+                _, last = within_ellipse(
+                    space, features, points, views, source, target, from_source, share * straight, parent
+                )
+                if last >= 0:
+                    break
+            if last >= 0:
+                begin[stop] = used
+                chains, used = _trace(chains, used, parent, last)
+                count[stop] = used - begin[stop]
+            else:
+                left[num_left] = stop
+                num_left += 1
+            stop += 1
+        if num_left > 0:
+            best, lasts = np.full(num_left, np.inf), np.full(num_left, -1, dtype=np.int64)
+            targets = pairs[left[:num_left], 1]
+            sight = shortest(space, features, sight, points, views, source, targets, best, lasts, parent)
+            for t in range(num_left):
+                if lasts[t] >= 0:
+                    begin[left[t]] = used
+                    chains, used = _trace(chains, used, parent, lasts[t])
+                    count[left[t]] = used - begin[left[t]]
+        first = stop
+    return sight, begin, count, chains[:used]
 
 
 @njit(cache=True)
 def _trace(
-    features: Features, start: FloatArray, goal: FloatArray, last: int, parent: NDArray[np.int64],
-    path: FloatArray, along: FloatArray,
-) -> int:  # fmt: skip
-    """Write the path start-features-goal into ``path`` and its edges into ``along``; return its vertex count."""
-    count = 2
-    u = last
+    chains: NDArray[np.int64], used: int, parent: NDArray[np.int64], last: int
+) -> tuple[NDArray[np.int64], int]:
+    """Append the chain that ends with feature ``last`` to the first ``used`` entries; return it all, and its size."""
+    count, u = 0, last
     while u >= 0:
         count += 1
         u = parent[u]
-    path[0], path[count - 1] = start, goal
+    if used + count > chains.shape[0]:
+        wider = np.empty(2 * (used + count), dtype=np.int64)
+        wider[:used] = chains[:used]
+        chains = wider
     u = last
-    for i in range(count - 2, 0, -1):
-        path[i], along[i] = features.position[u], features.along[u]
+    for place in range(used + count - 1, used - 1, -1):
+        chains[place] = u
         u = parent[u]
-    return count
+    return chains, used + count

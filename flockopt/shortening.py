@@ -17,6 +17,8 @@ __all__ = ["polyline_length", "shorten"]
 MOST_ROUNDS, MOST_HALVINGS = 5, 20
 #: A gain of less than this share of the length is not worth a round.
 LEAST_GAIN = 1e-4
+#: How much of the way to an even climb is tried, in this order.
+LEVEL_SHARES = (1.0, 0.5, 0.25)
 
 
 @njit(cache=True)
@@ -107,6 +109,40 @@ def _slide(space: Space, path: FloatArray, along: FloatArray, i: int) -> None:
 
 
 @njit(cache=True)
+def _level(space: Space, path: FloatArray, first: int, last: int) -> None:
+    """Let the path climb evenly from vertex ``first`` to vertex ``last``, between which all edges are upright.
+
+    Unrolled about upright edges the shortest path is straight: height grows with the horizontal way flown.
+    """
+    moved = path[first : last + 1].copy()
+    way = np.zeros(last + 1 - first)
+    for i in range(1, last + 1 - first):
+        way[i] = way[i - 1] + math.hypot(moved[i, 0] - moved[i - 1, 0], moved[i, 1] - moved[i - 1, 1])
+    if way[-1] <= 0.0:
+        return
+    even = moved[0, 2] + (moved[-1, 2] - moved[0, 2]) * way / way[-1]
+    for share in LEVEL_SHARES:
+        clear = True
+        for i in range(1, last + 1 - first):
+            moved[i, 2] = path[first + i, 2] + share * (even[i] - path[first + i, 2])
+            clear = clear and blocker(space, moved[i - 1], moved[i], -1) < 0
+        if clear:
+            path[first : last + 1] = moved
+            return
+
+
+@njit(cache=True)
+def _level_runs(space: Space, path: FloatArray, along: FloatArray, count: int) -> None:
+    """`_level` every longest run of bends around upright edges."""
+    first = 0
+    for i in range(1, count):
+        if i == count - 1 or abs(along[i, 2]) < 1.0 - 1e-9:
+            if i - first > 1:
+                _level(space, path, first, i)
+            first = i
+
+
+@njit(cache=True)
 def _retract(space: Space, path: FloatArray, i: int, toward: int, away: int, least_gain: float) -> None:
     """Move bend i along its own segment to ``toward`` until the other segment touches an obstacle.
 
@@ -156,6 +192,7 @@ def shorten(space: Space, path: FloatArray, along: FloatArray, count: int) -> in
     length = polyline_length(path, count)
     for _ in range(MOST_ROUNDS):
         least_gain = LEAST_GAIN * length
+        _level_runs(local, path, along, count)
         for i in range(1, count - 1):
             _slide(local, path, along, i)
             _retract(local, path, i, i - 1, i + 1, 0.5 * least_gain)

@@ -15,8 +15,6 @@ from flockopt.nearness import Space, blocker
 
 __all__ = ["Sight", "empty_sight", "look_around", "sees", "segment_length", "tangent", "wraps"]
 
-#: How far, as a sine, a bend may turn away from the obstacle it wraps.
-BEND_SLACK = 0.3
 UNKNOWN, SEEN, HIDDEN = 0, 1, 2
 
 
@@ -50,16 +48,17 @@ def tangent(first: FloatArray, second: FloatArray, slack: FloatArray, u: int, d0
     """Whether a line of direction d through feature u stays out of the prism there."""
     a = d0 * first[u, 0] + d1 * first[u, 1] + d2 * first[u, 2]
     b = d0 * second[u, 0] + d1 * second[u, 1] + d2 * second[u, 2]
-    return a * b <= slack[u] * (d0 * d0 + d1 * d1 + d2 * d2)
+    return a * b <= slack[u] * (d0 * d0 + d1 * d1 + d2 * d2 )
 
 
 @njit(cache=True)
 def wraps(
-    first: FloatArray, second: FloatArray, u: int, i0: float, i1: float, i2: float, o0: float, o1: float, o2: float
-) -> bool:
+    first: FloatArray, second: FloatArray, bend: float, u: int,
+    i0: float, i1: float, i2: float, o0: float, o1: float, o2: float,
+) -> bool:  # fmt: skip
     """Whether the bend from direction i into direction o is around the obstacle of feature u, not away from it."""
     come, go = math.sqrt(i0 * i0 + i1 * i1 + i2 * i2), math.sqrt(o0 * o0 + o1 * o1 + o2 * o2)
-    limit = BEND_SLACK * come * go
+    limit = bend * come * go
     t0, t1, t2 = o0 * come - i0 * go, o1 * come - i1 * go, o2 * come - i2 * go
     a = t0 * first[u, 0] + t1 * first[u, 1] + t2 * first[u, 2]
     b = t0 * second[u, 0] + t1 * second[u, 1] + t2 * second[u, 2]
