@@ -1,0 +1,201 @@
+"""A PyBullet world made from a scene: its obstacles, its drones, and what touches what.
+
+PyBullet has no calls for many bodies at once, so a step costs one write and one read a drone: the write is the velocity
+that `sim.fleet` has worked out from thrust, gravity and drag, the read is the pose that PyBullet made of it. Where bodies
+touch, PyBullet's contact solver changes velocities too, and only then they are read back.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import ModuleType, TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flockopt import reading
+from flockopt.errors import MissingExtra, SettingsError, SolverFailed
+from flockopt.geometry import FloatArray
+from flockopt.scene import Box, Cylinder, Obstacle, Scene
+from sim.fleet import POSE, RATES, VELOCITY
+from sim.vehicles import Vehicle
+
+__all__ = ["SHAPES", "Touch", "World", "load_pybullet"]
+
+#: Collision shapes of a drone: the scene's ball, or a flat cylinder inside it.
+SHAPES = ("ball", "disc")
+
+#: The flat cylinder's height over its diameter; its rims are on the ball.
+DISC_FLATNESS = 0.25
+
+#: How bouncy and how rough drones are.
+RESTITUTION, FRICTION = 0.2, 0.4
+
+COLORS = ((0.12, 0.47, 0.71, 1), (1.0, 0.5, 0.05, 1), (0.17, 0.63, 0.17, 1), (0.84, 0.15, 0.16, 1), (0.58, 0.4, 0.74, 1))
+GREY = (0.62, 0.65, 0.7, 1)
+
+
+def load_pybullet() -> ModuleType:
+    """The module pybullet.
+
+    Raises:
+        MissingExtra: If it is not installed.
+    """
+    try:
+        import pybullet
+    except ImportError:
+        raise MissingExtra("pybullet", "sim") from None
+    return pybullet
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Drone ``drone`` touches ``other``, a drone or an obstacle, from ``time`` on (s)."""
+
+    time: float
+    drone: str
+    other: str
+
+
+class World:
+    """A PyBullet server that holds a scene; to be used in a ``with`` statement.
+
+    Args:
+        scene: The scene.
+        vehicles: One for each drone.
+        step_s: Seconds a step, > 0.
+        shape: One of `SHAPES`, the drones' collision shape.
+        gui: Whether to open a window; the server is in this process without one otherwise.
+
+    Raises:
+        MissingExtra: If PyBullet is not installed.
+        SettingsError: On an unknown shape or a step that is not positive.
+        SolverFailed: If PyBullet cannot connect.
+    """
+
+    def __init__(self, scene: Scene, vehicles: list[Vehicle], step_s: float, *, shape: str = "ball", gui: bool = False) -> None:
+        if shape not in SHAPES:
+            raise SettingsError("shape", f"is {shape!r}", f"must be one of {', '.join(SHAPES)}", "choose one")
+        self.step_s = reading.number(SettingsError, "step_s", step_s, above=0.0)
+        self._scene, self._bullet = scene, load_pybullet()
+        self.client: int = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
+        if self.client < 0:
+            raise SolverFailed("pybullet", "no window could be opened" if gui else "no server could be started")
+        self._set_physics()
+        self._names = {self._place(obstacle): obstacle.id for obstacle in scene.obstacles}
+        self.bodies = [self._launch(i, vehicle, shape) for i, vehicle in enumerate(vehicles)]
+        self._names |= {body: drone.id for body, drone in zip(self.bodies, scene.drones, strict=True)}
+        self._number = {body: i for i, body in enumerate(self.bodies)}
+        self._touching: frozenset[tuple[int, int]] = frozenset()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Shut the server down."""
+        if self.client >= 0:
+            self._bullet.disconnect(physicsClientId=self.client)
+            self.client = -1
+
+    def step(self, states: FloatArray, drive: FloatArray, spin: FloatArray, time: float) -> list[Touch]:
+        """Let the drones move for one step and read their poses.
+
+        Args:
+            states: (N, 17) as in `sim.fleet`; poses are brought up to date, and velocities of drones that touch something.
+            drive: (N, 3) velocities to move with, m/s.
+            spin: (N, 3) rad/s in the world frame, to turn with.
+            time: At the end of the step, s.
+
+        Returns:
+            What touches now and did not before.
+        """
+        write, client = self._bullet.resetBaseVelocity, self.client
+        for body, velocity, turning in zip(self.bodies, drive.tolist(), spin.tolist(), strict=True):
+            write(body, velocity, turning, client)
+        self._bullet.stepSimulation(client)
+        read = self._bullet.getBasePositionAndOrientation
+        poses = [read(body, client) for body in self.bodies]
+        states[:, POSE] = [place + attitude for place, attitude in poses]
+        contacts = self._bullet.getContactPoints(physicsClientId=client)
+        if not contacts and not self._touching:
+            return []
+        return self._touches(contacts, states, time)
+
+    def _touches(self, contacts: Any, states: FloatArray, time: float) -> list[Touch]:
+        """Read back the velocities of what touches, and say what is new."""
+        pairs = set()
+        for contact in contacts:
+            first, second, gap = contact[1], contact[2], contact[8]
+            if gap <= 0.0:
+                pairs.add((first, second) if first in self._number else (second, first))
+        for body in {body for pair in pairs for body in pair if body in self._number}:
+            self._read_velocity(body, states[self._number[body]])
+        fresh = sorted(pairs - self._touching)
+        self._touching = frozenset(pairs)
+        return [Touch(time, self._names[body], self._names[other]) for body, other in fresh]
+
+    def _read_velocity(self, body: int, state: FloatArray) -> None:
+        velocity, spin = self._bullet.getBaseVelocity(body, self.client)
+        turn = np.array(self._bullet.getMatrixFromQuaternion(state[3:7])).reshape(3, 3)
+        state[VELOCITY], state[RATES] = velocity, turn.T @ np.array(spin)
+
+    def image(self, width: int, height: int, *, yaw: float = -45.0, pitch: float = -45.0) -> NDArray[np.uint8]:
+        """A picture of the world by PyBullet's software renderer, (height, width, 3)."""
+        lower, upper = np.array(self._scene.bounds.lower), np.array(self._scene.bounds.upper)
+        reach = float(np.linalg.norm(upper - lower))
+        middle = ((lower + upper) / 2).tolist()
+        view = self._bullet.computeViewMatrixFromYawPitchRoll(middle, 1.1 * reach, yaw, pitch, 0.0, 2)
+        lens = self._bullet.computeProjectionMatrixFOV(45.0, width / height, 0.01 * reach, 3.0 * reach)
+        renderer = self._bullet.ER_TINY_RENDERER
+        pixels = self._bullet.getCameraImage(width, height, view, lens, renderer=renderer, physicsClientId=self.client)[2]
+        return np.reshape(pixels, (height, width, 4))[:, :, :3].astype(np.uint8)
+
+    def _set_physics(self) -> None:
+        self._bullet.setGravity(0.0, 0.0, 0.0, physicsClientId=self.client)  # it is in the velocities already
+        self._bullet.setPhysicsEngineParameter(
+            fixedTimeStep=self.step_s, numSubSteps=0, deterministicOverlappingPairs=1, physicsClientId=self.client
+        )
+
+    def _place(self, obstacle: Obstacle) -> int:
+        """Put an obstacle into the world; it never moves."""
+        bullet, turn = self._bullet, (0.0, 0.0, 0.0, 1.0)
+        if isinstance(obstacle, Box):
+            kind, size = bullet.GEOM_BOX, {"halfExtents": [side / 2 for side in obstacle.size]}
+            turn = (0.0, 0.0, math.sin(obstacle.yaw / 2), math.cos(obstacle.yaw / 2))
+        elif isinstance(obstacle, Cylinder):
+            kind, size = bullet.GEOM_CYLINDER, {"radius": obstacle.radius, "height": obstacle.height}
+        else:
+            kind, size = bullet.GEOM_SPHERE, {"radius": obstacle.radius}
+        shape = bullet.createCollisionShape(kind, **size, physicsClientId=self.client)
+        look = {"length" if key == "height" else key: value for key, value in size.items()}
+        visual = bullet.createVisualShape(kind, **look, rgbaColor=GREY, physicsClientId=self.client)
+        return bullet.createMultiBody(
+            0.0, shape, visual, obstacle.center, turn, useMaximalCoordinates=True, physicsClientId=self.client
+        )
+
+    def _launch(self, index: int, vehicle: Vehicle, shape: str) -> int:
+        """Put a drone at its start."""
+        bullet, drone = self._bullet, self._scene.drones[index]
+        if shape == "ball":
+            kind, size = bullet.GEOM_SPHERE, {"radius": drone.radius}
+        else:
+            wide = drone.radius / math.hypot(1.0, DISC_FLATNESS)
+            kind, size = bullet.GEOM_CYLINDER, {"radius": wide, "height": 2.0 * DISC_FLATNESS * wide}
+        body = bullet.createCollisionShape(kind, **size, physicsClientId=self.client)
+        look = {"length" if key == "height" else key: value for key, value in size.items()}
+        color = COLORS[index % len(COLORS)]
+        visual = bullet.createVisualShape(kind, **look, rgbaColor=color, physicsClientId=self.client)
+        number = bullet.createMultiBody(
+            vehicle.mass, body, visual, drone.start, useMaximalCoordinates=True, physicsClientId=self.client
+        )
+        bullet.changeDynamics(  # without the mass, the inertia makes a rigid body's mass NaN
+            number, -1, mass=vehicle.mass, localInertiaDiagonal=vehicle.inertia, linearDamping=0.0, angularDamping=0.0,
+            restitution=RESTITUTION, lateralFriction=FRICTION, activationState=bullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            physicsClientId=self.client,
+        )  # fmt: skip
+        return number
