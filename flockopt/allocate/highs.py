@@ -46,6 +46,7 @@ class Program:
 
     Raises:
         MissingExtra: If highspy is not installed.
+        SolverFailed: If it does not load.
     """
 
     def __init__(
@@ -53,8 +54,10 @@ class Program:
     ) -> None:
         try:
             import highspy
-        except ImportError:
+        except ModuleNotFoundError:
             raise MissingExtra("highspy", "solvers") from None
+        except ImportError as fault:  # such as the symbols of another HiGHS that this process has loaded
+            raise SolverFailed("HiGHS", str(fault)) from fault
         self._api: Any = highspy
         self._highs = highspy.Highs()
         self._highs.setOptionValue("output_flag", False)
