@@ -44,7 +44,8 @@ def _end_fault(scene: Scene, travel: Travel, drone: int) -> str:
     if not np.isfinite(length):
         return f"drones[{drone}] ({record.id}) has no way to its end; move the end"
     if record.max_distance is not None and length > record.max_distance + LENGTH_TOLERANCE_M:
-        return f"drones[{drone}] ({record.id}) is {length:g} m from its end and its max_distance is {record.max_distance:g}; raise it"
+        reach = f"its max_distance is {record.max_distance:g}"
+        return f"drones[{drone}] ({record.id}) is {length:g} m from its end and {reach}; raise it"
     return ""
 
 

@@ -47,7 +47,9 @@ class Request:
 def checked_limits(iterations: int | None, time_limit_s: float | None, seed: int) -> None:
     """Raise a `SettingsError` unless the limits and the seed may be used."""
     if iterations is not None and not (_is_integer(iterations) and iterations >= 0):
-        raise SettingsError("iterations", f"is {iterations!r}", "must be an integer >= 0 or None", "name a number or leave it out")
+        raise SettingsError(
+            "iterations", f"is {iterations!r}", "must be an integer >= 0 or None", "name a number or leave it out"
+        )
     if time_limit_s is not None and not (_is_number(time_limit_s) and 0 < time_limit_s < math.inf):
         rule = "must be a finite number > 0 or None"
         raise SettingsError("time_limit_s", f"is {time_limit_s!r}", rule, "name seconds or leave it out")

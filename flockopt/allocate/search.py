@@ -4,40 +4,59 @@ from __future__ import annotations
 
 import math
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
+from flockopt.allocate.request import RouteTuple
 from flockopt.allocate.search_construct import insert_by_regret, insert_routes
+from flockopt.allocate.search_matching import Matching, match_tails, matching_scratch
 from flockopt.allocate.search_moves import recreate, ruin
 from flockopt.allocate.search_state import (
     NUM_WAITING,
     IntArray,
     Problem,
     Routes,
+    adopt,
     commit,
     compiled,
     empty_routes,
     random_unit,
+    total_cost,
     undo,
 )
 from flockopt.geometry import FloatArray
 
 __all__ = ["default_iterations", "search"]
 
-#: Temperatures that annealing starts and ends with, as shares of the first solution's travel per task.
-FIRST_HEAT, LAST_HEAT = 0.1, 0.001
+#: Temperatures that annealing starts and ends with, as shares of the first solution's travel per task. The last part
+#: of the search begins again at the best solution and accepts next to nothing that is worse.
+FIRST_HEAT, LAST_HEAT, FINAL_HEAT = 0.6, 0.2, 0.001
+FINAL_SHARE = 0.1
 
-#: How many tasks a ruin takes on average.
-MEAN_RUINED = 10.0
+#: How many tasks a ruin takes on average, how often a place is overlooked on purpose when they are put back, and how
+#: often tails are matched after that.
+MEAN_RUINED, BLINK_SHARE, MATCH_SHARE = 6.0, 0.01, 0.5
 
 #: Under a time limit: iterations before the clock is read first, and share of the time between later readings.
 FIRST_ITERATIONS, CLOCK_SHARE = 32, 0.04
 
-#: Iterations for every task where neither iterations nor a time limit are asked for.
+#: Iterations for every task where neither iterations nor a time limit are asked for: about half a millisecond.
 ITERATIONS_A_TASK = 150
 
 #: A new best solution is one better by this many metres.
 IMPROVEMENT_M = 1e-9
+
+
+class Stretch(NamedTuple):
+    """A stretch of annealing; temperatures in metres."""
+
+    iterations: int
+    temperature: float
+    cooling: float  # factor on the temperature at every iteration
+    mean_ruined: float
+    blink_share: float
+    match_share: float
 
 
 def default_iterations(num_tasks: int) -> int:
@@ -48,12 +67,12 @@ def default_iterations(num_tasks: int) -> int:
 def search(
     problem: Problem,
     *,
-    warm_start: tuple[tuple[int, ...], ...] = (),
+    warm_start: RouteTuple = (),
     preference: FloatArray | None = None,
     iterations: int | None = None,
     time_limit_s: float | None = None,
     seed: int = 0,
-) -> tuple[tuple[int, ...], ...]:
+) -> RouteTuple:
     """The best routes found, task indices by drone; tasks that fit nowhere are on none of them.
 
     Args:
@@ -64,48 +83,75 @@ def search(
         time_limit_s: When to stop, in place of or ahead of ``iterations``.
         seed: Of the search's own generator.
     """
-    began = perf_counter()
+    clock = _Clock(iterations, time_limit_s, len(problem.demand))
     routes = empty_routes(problem, seed)
     insert_routes(problem, routes, warm_start)
     insert_by_regret(problem, routes, np.empty((0, 0)) if preference is None else preference)
     commit(routes)
-    best_after = routes.after.copy()
-    if iterations is None and time_limit_s is None:
-        iterations = default_iterations(len(problem.demand))
-    if len(problem.demand) and (time_limit_s is None or perf_counter() - began < time_limit_s):
-        _cool_down(problem, routes, best_after, iterations, time_limit_s, began)
-    return _extract(problem, best_after)
+    annealer = _Annealer(problem, routes)
+    annealer.run(clock, 0.0, 1.0 - FINAL_SHARE, FIRST_HEAT, LAST_HEAT)
+    annealer.return_to_best()
+    annealer.run(clock, 1.0 - FINAL_SHARE, 1.0, FINAL_HEAT, FINAL_HEAT)
+    return _extract(problem, annealer.best_after)
 
 
-def _cool_down(
-    problem: Problem, routes: Routes, best_after: IntArray, iterations: int | None, time_limit_s: float | None, began: float
-) -> None:
-    """Anneal in stretches short enough to keep the time limit, colder as iterations or time run out."""
-    num_tasks, best_cost = len(problem.demand), total_cost(problem, routes)
-    served = num_tasks - routes.counters[NUM_WAITING]
-    heat = (best_cost - problem.penalty * routes.counters[NUM_WAITING]) / max(served, 1)
-    done, step, share = 0, FIRST_ITERATIONS, 0.0
-    stretch_began = perf_counter()
-    while share < 1.0:
-        if time_limit_s is None:
-            assert iterations is not None
-            step = iterations
-        elif iterations is not None:
-            step = min(step, iterations - done)
-        temperature = heat * FIRST_HEAT * (LAST_HEAT / FIRST_HEAT) ** share
-        cooling = 1.0 if time_limit_s is not None else (LAST_HEAT / FIRST_HEAT) ** (1.0 / max(step, 1))
-        best_cost = anneal(problem, routes, best_after, best_cost, step, temperature, cooling, MEAN_RUINED)
-        done += step
+class _Clock:
+    """Tells how much of a search is over, and how many iterations to run before it is asked again."""
+
+    def __init__(self, iterations: int | None, time_limit_s: float | None, num_tasks: int) -> None:
+        if iterations is None and time_limit_s is None:
+            iterations = default_iterations(num_tasks)
+        self.is_timed = time_limit_s is not None
+        self._limit_s = math.inf if time_limit_s is None else time_limit_s
+        self._iterations = math.inf if iterations is None else iterations
+        self._began = self._asked = perf_counter()
+        self._done = self._step = 0
+
+    def share(self) -> float:
+        """The share of the search that is over."""
+        if self._iterations == 0:
+            return 1.0
+        return max(self._done / self._iterations, (perf_counter() - self._began) / self._limit_s)
+
+    def step(self, until: float) -> int:
+        """Iterations of the next stretch, which is to end where the share is ``until`` at the latest."""
         now = perf_counter()
-        share = 0.0 if iterations is None else done / max(iterations, 1)
-        if time_limit_s is not None:
-            share = max(share, (now - began) / time_limit_s)
-            pace = step / max(now - stretch_began, 1e-9)
-            step = max(1, int(pace * min(CLOCK_SHARE * time_limit_s, max(time_limit_s - (now - began), 0.0))))
-        stretch_began = now
+        step = self._iterations * until - self._done
+        if self.is_timed:
+            pace = self._step / max(now - self._asked, 1e-9)
+            seconds = min(CLOCK_SHARE * self._limit_s, until * self._limit_s - (now - self._began))
+            step = min(step, pace * seconds if self._done else FIRST_ITERATIONS)
+        self._asked, self._step = now, max(1, math.ceil(step))
+        self._done += self._step
+        return self._step
 
 
-def _extract(problem: Problem, after: IntArray) -> tuple[tuple[int, ...], ...]:
+class _Annealer:
+    """A solution being annealed, and the best one seen."""
+
+    def __init__(self, problem: Problem, routes: Routes) -> None:
+        self._problem, self._routes, self._matching = problem, routes, matching_scratch()
+        num_waiting = routes.counters[NUM_WAITING]
+        self.best_after, self._best_cost = routes.after.copy(), total_cost(problem, routes)
+        travel, num_served = self._best_cost - problem.penalty * num_waiting, len(problem.demand) - num_waiting
+        self._scale = travel / max(num_served, 1)
+
+    def run(self, clock: _Clock, begin: float, end: float, first_heat: float, last_heat: float) -> None:
+        """Anneal until the share ``end`` of the search is over, colder all the time."""
+        while (share := clock.share()) < end:
+            step = clock.step(end)
+            temperature = self._scale * first_heat * (last_heat / first_heat) ** ((share - begin) / (end - begin))
+            cooling = 1.0 if clock.is_timed else (last_heat / first_heat) ** (1.0 / step)
+            stretch = Stretch(step, temperature, cooling, MEAN_RUINED, BLINK_SHARE, MATCH_SHARE)
+            state = self._problem, self._routes, self._matching, self.best_after
+            self._best_cost = _anneal(*state, self._best_cost, stretch)
+
+    def return_to_best(self) -> None:
+        """Go on from the best solution."""
+        adopt(self._problem, self._routes, self.best_after)
+
+
+def _extract(problem: Problem, after: IntArray) -> RouteTuple:
     """Routes from their links, cut where a leg has no way."""
     num_tasks, routes = len(problem.demand), []
     for drone, kind in enumerate(problem.drone_class):
@@ -120,42 +166,26 @@ def _extract(problem: Problem, after: IntArray) -> tuple[tuple[int, ...], ...]:
 
 
 @compiled
-def total_cost(problem: Problem, routes: Routes) -> float:
-    """Travel of all drones plus the penalty of every unserved task, metres; sets every drone's length anew."""
-    num_tasks = len(problem.demand)
-    total = problem.penalty * routes.counters[NUM_WAITING]
-    for drone in range(len(problem.capacity)):
-        kind, node, length = problem.drone_class[drone], num_tasks + drone, 0.0
-        while True:
-            following = routes.after[node]
-            length += problem.distance[kind, node, following]
-            node = following
-            if node >= num_tasks:
-                break
-        routes.length[drone] = length
-        total += length
-    return total
-
-
-@compiled
-def anneal(
-    problem: Problem, routes: Routes, best_after: IntArray, best_cost: float,
-    iterations: int, temperature: float, cooling: float, mean_ruined: float,
-) -> float:  # fmt: skip
-    """Ruin and recreate; returns the best cost and leaves its links in ``best_after``."""
-    cost = total_cost(problem, routes)
-    for _ in range(iterations):
+def _anneal(
+    problem: Problem, routes: Routes, matching: Matching, best_after: IntArray, best_cost: float, stretch: Stretch
+) -> float:
+    """Ruin, recreate, match; returns the best cost and leaves its links in ``best_after``."""
+    cost, temperature = total_cost(problem, routes), stretch.temperature
+    for _ in range(stretch.iterations):
         num_waited = routes.counters[NUM_WAITING]
-        change = ruin(problem, routes, mean_ruined) + recreate(problem, routes, num_waited)
+        change = ruin(problem, routes, stretch.mean_ruined)
+        change += recreate(problem, routes, num_waited, stretch.blink_share)
         change += problem.penalty * (routes.counters[NUM_WAITING] - num_waited)
         if change < -temperature * math.log(random_unit(routes.random)):
             commit(routes)
             cost += change
-            if cost < best_cost - IMPROVEMENT_M:
-                best_cost = cost
-                for node in range(len(best_after)):
-                    best_after[node] = routes.after[node]
         else:
             undo(problem, routes)
-        temperature *= cooling
+        if random_unit(routes.random) < stretch.match_share:
+            cost += match_tails(problem, routes, matching)
+        if cost < best_cost - IMPROVEMENT_M:
+            best_cost = cost
+            for node in range(len(best_after)):
+                best_after[node] = routes.after[node]
+        temperature *= stretch.cooling
     return best_cost

@@ -14,7 +14,7 @@ from flockopt.travel import Travel
 __all__ = ["NUM_NEAR", "build_problem", "insert_by_regret", "insert_routes"]
 
 #: How many of its nearest tasks, and of the nearest kinds of drones, a task is tried beside.
-NUM_NEAR, NUM_NEAR_GROUPS = 20, 5
+NUM_NEAR, NUM_NEAR_GROUPS = 20, 10
 
 
 def build_problem(scene: Scene, travel: Travel) -> Problem:
@@ -30,16 +30,19 @@ def build_problem(scene: Scene, travel: Travel) -> Problem:
     distance[:, depots, depots] = travel.start_end
     np.minimum(distance, no_way, out=distance)
     group, firsts = _groups(scene, travel, limits)
-    near = np.empty((num_tasks, min(NUM_NEAR, max(num_tasks - 1, 0))), dtype=np.int32)
+    counts = np.bincount(group)
+    near = np.empty((num_tasks, min(NUM_NEAR, max(num_tasks - 1, 0))), dtype=np.uint32)
     _nearest(distance[:, :num_tasks, :num_tasks].min(axis=0), near, True)
     alone = start_task[firsts] + travel.task_end[firsts] - travel.start_end[firsts, None]  # (groups, M) m
-    near_groups = np.empty((num_tasks, min(NUM_NEAR_GROUPS, len(firsts))), dtype=np.int32)
+    near_groups = np.empty((num_tasks, min(NUM_NEAR_GROUPS, len(firsts))), dtype=np.uint32)
     _nearest(np.ascontiguousarray(np.nan_to_num(alone, nan=no_way, posinf=no_way).T), near_groups, False)
     return Problem(
         distance=distance,
-        drone_class=travel.drone_class.astype(np.int32),
+        drone_class=travel.drone_class.astype(np.uint32),
         group=group,
-        num_groups=len(firsts),
+        members=np.argsort(group, kind="stable").astype(np.uint32),
+        first_member=(np.cumsum(counts) - counts).astype(np.uint32),
+        num_members=counts.astype(np.uint32),
         near=near,
         near_groups=near_groups,
         remoteness=np.minimum(start_task.min(axis=0), no_way),
@@ -64,7 +67,7 @@ def _groups(scene: Scene, travel: Travel, limits: list[float]) -> tuple[IntArray
     """(N,) the group of each drone, and the first drone of each group; drones of a group are interchangeable."""
     numbers: dict[tuple[object, ...], int] = {}
     firsts: list[int] = []
-    group = np.empty(scene.num_drones, dtype=np.int32)
+    group = np.empty(scene.num_drones, dtype=np.uint32)
     for i, drone in enumerate(scene.drones):
         legs = travel.start_task[i].tobytes(), travel.task_end[i].tobytes(), float(travel.start_end[i])
         kind = (drone.capacity, limits[i], int(travel.drone_class[i]), *legs)
@@ -100,7 +103,7 @@ def insert_routes(problem: Problem, routes: Routes, given: tuple[tuple[int, ...]
         last = len(problem.demand) + drone
         for task in tasks:
             cost = insertion_cost(problem, routes, task, last)
-            if routes.load[drone] + problem.demand[task] <= problem.capacity[drone] and fits_length(problem, routes, drone, cost):
+            if problem.demand[task] <= routes.room[drone] and fits_length(problem, routes, drone, cost):
                 link(problem, routes, task, last)
                 last = task
     _collect_waiting(problem, routes)
@@ -121,15 +124,16 @@ def insert_by_regret(problem: Problem, routes: Routes, preference: FloatArray) -
         preference: (M, N) m, what is added to the travel of serving task j by drone i, or (0, 0) for nothing.
     """
     num_tasks, num_drones = len(problem.demand), len(problem.capacity)
-    price, place = np.empty((num_tasks, num_drones)), np.empty((num_tasks, num_drones), dtype=np.int32)
-    best, second = np.empty(num_tasks, dtype=np.int32), np.empty(num_tasks, dtype=np.int32)
+    price, place = np.empty((num_tasks, num_drones)), np.empty((num_tasks, num_drones), dtype=np.uint32)
+    best, second = np.empty(num_tasks, dtype=np.uint32), np.empty(num_tasks, dtype=np.uint32)
     _insert_by_regret(problem, routes, preference, price, place, best, second)
 
 
 @compiled
 def _insert_by_regret(
-    problem: Problem, routes: Routes, preference: FloatArray, price: FloatArray, place: IntArray, best: IntArray, second: IntArray
-) -> None:
+    problem: Problem, routes: Routes, preference: FloatArray,
+    price: FloatArray, place: IntArray, best: IntArray, second: IntArray,
+) -> None:  # fmt: skip
     count = routes.counters[NUM_WAITING]
     for entry in range(count):
         task = routes.waiting[entry]
@@ -142,7 +146,7 @@ def _insert_by_regret(
         for entry in range(left):
             task = routes.waiting[entry]
             cheapest = price[task, best[task]]
-            regret = price[task, second[task]] - cheapest if second[task] >= 0 else np.inf
+            regret = price[task, second[task]] - cheapest if second[task] != UNSERVED else np.inf
             if cheapest < np.inf and (regret > most_regret or (regret == most_regret and cheapest < least_price)):
                 chosen, most_regret, least_price = entry, regret, cheapest
         if chosen < 0:
@@ -156,19 +160,19 @@ def _insert_by_regret(
             other = routes.waiting[entry]
             _price(problem, routes, preference, price, place, other, drone)
             changed = best[other] == drone or second[other] == drone
-            if changed or second[other] < 0 or price[other, drone] < price[other, second[other]]:
+            if changed or second[other] == UNSERVED or price[other, drone] < price[other, second[other]]:
                 _rank(price, best, second, other)
     routes.counters[NUM_WAITING] = left
 
 
 @compiled
 def _rank(price: FloatArray, best: IntArray, second: IntArray, task: int) -> None:
-    """Note the cheapest drone for the task and the second cheapest (-1: there is none)."""
-    best[task], second[task] = 0, -1
+    """Note the cheapest drone for the task and the second cheapest (UNSERVED: there is none)."""
+    best[task], second[task] = 0, UNSERVED
     for drone in range(1, price.shape[1]):
         if price[task, drone] < price[task, best[task]]:
             best[task], second[task] = drone, best[task]
-        elif second[task] < 0 or price[task, drone] < price[task, second[task]]:
+        elif second[task] == UNSERVED or price[task, drone] < price[task, second[task]]:
             second[task] = drone
 
 
@@ -178,7 +182,7 @@ def _price(
 ) -> None:
     """Price the task on the drone at its best place, infinite where it does not fit."""
     price[task, drone] = np.inf
-    if routes.load[drone] + problem.demand[task] > problem.capacity[drone]:
+    if problem.demand[task] > routes.room[drone]:
         return
     num_tasks, extra = len(problem.demand), 0.0
     if preference.size > 0:

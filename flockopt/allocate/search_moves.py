@@ -32,9 +32,6 @@ LONGEST_STRING = 10
 #: How often a string keeps tasks in its middle, and how often one more than so far (from the paper).
 SPLIT_SHARE, KEEP_SHARE = 0.5, 0.01
 
-#: How often a place is overlooked on purpose (from the paper).
-BLINK_SHARE = 0.01
-
 #: How many tasks that waited before a ruin are tried again after it.
 NUM_RETRIED = 10
 
@@ -99,13 +96,14 @@ def _take_string(problem: Problem, routes: Routes, task: int, longest: float) ->
 
 
 @compiled
-def recreate(problem: Problem, routes: Routes, num_waited: int) -> float:
+def recreate(problem: Problem, routes: Routes, num_waited: int, blink_share: float) -> float:
     """Put waiting tasks back where it costs least, in a random kind of order; returns the travel this adds, metres.
 
     Args:
         problem: The problem.
         routes: Changed in place; tasks without a feasible place go on waiting.
         num_waited: How many of the waiting tasks were so before the ruin; a sample of them is tried again.
+        blink_share: How often a place is overlooked on purpose.
     """
     retried = min(num_waited, NUM_RETRIED)
     for back in range(retried):
@@ -117,7 +115,7 @@ def recreate(problem: Problem, routes: Routes, num_waited: int) -> float:
     cost = 0.0
     routes.counters[NUM_WAITING] = first
     for task in tried:
-        previous, added = best_place(problem, routes, task, BLINK_SHARE)
+        previous, added = best_place(problem, routes, task, blink_share)
         if previous == UNSERVED:
             routes.waiting[routes.counters[NUM_WAITING]] = task
             routes.counters[NUM_WAITING] += 1
@@ -128,7 +126,7 @@ def recreate(problem: Problem, routes: Routes, num_waited: int) -> float:
 
 
 @compiled
-def _sort_for_recreation(problem: Problem, routes: Routes, tasks: NDArray[np.int32]) -> None:
+def _sort_for_recreation(problem: Problem, routes: Routes, tasks: NDArray[np.uint32]) -> None:
     """Sort in place: at random, heaviest first, farthest first or nearest first (weights 4, 4, 2, 1 from the paper)."""
     kind = random_index(routes.random, 11)
     for place in range(len(tasks)):
@@ -154,16 +152,15 @@ def best_place(problem: Problem, routes: Routes, task: int, blink_share: float) 
     Looked at are the places beside its nearest tasks and in the nearest drones that rest, each overlooked with
     probability ``blink_share``; only where none of them is feasible, every place there is.
     """
-    # arrays are taken out of the records once: numba counts a reference at every look into a record
-    distance, drone_class, capacity, longest = problem.distance, problem.drone_class, problem.capacity, problem.longest
-    route, before, after, load, length = routes.route, routes.before, routes.after, routes.load, routes.length
+    distance, drone_class, longest = problem.distance, problem.drone_class, problem.longest
+    route, before, after, room, length = routes.route, routes.before, routes.after, routes.room, routes.length
     near, random, demand = problem.near, routes.random, problem.demand[task]
     num_tasks, cutoff = len(problem.demand), 0.5 * problem.no_way
     best, best_cost = UNSERVED, cutoff
     for rank in range(near.shape[1]):
         neighbour = near[task, rank]
         drone = route[neighbour]
-        if drone == UNSERVED or load[drone] + demand > capacity[drone]:
+        if drone == UNSERVED or demand > room[drone]:
             continue
         kind = drone_class[drone]
         to_task = distance[kind, neighbour, task]
@@ -176,13 +173,18 @@ def best_place(problem: Problem, routes: Routes, task: int, blink_share: float) 
         cost = distance[kind, node, task] + from_task - distance[kind, node, neighbour]
         if cost < best_cost and length[drone] + cost <= longest[drone] and random_unit(random) > blink_share:
             best, best_cost = node, cost
-    near_groups, num_resting, resting, first_slot = problem.near_groups, routes.num_resting, routes.resting, routes.first_slot
+    near_groups, first_member, num_resting, resting = (
+        problem.near_groups,
+        problem.first_member,
+        routes.num_resting,
+        routes.resting,
+    )
     for rank in range(near_groups.shape[1]):
         group = near_groups[task, rank]
         if num_resting[group] == 0:
             continue
-        drone = resting[first_slot[group]]
-        if demand > capacity[drone]:
+        drone = resting[problem.first_member[group]]
+        if demand > room[drone]:
             continue
         node, kind = num_tasks + drone, drone_class[drone]
         cost = distance[kind, node, task] + distance[kind, task, node] - distance[kind, node, node]
@@ -204,7 +206,7 @@ def _best_of_all_places(problem: Problem, routes: Routes, task: int) -> tuple[in
     num_tasks = len(problem.demand)
     best, best_cost = UNSERVED, np.inf
     for drone in range(len(problem.capacity)):
-        if routes.load[drone] + problem.demand[task] > problem.capacity[drone]:
+        if problem.demand[task] > routes.room[drone]:
             continue
         node = num_tasks + drone
         while True:

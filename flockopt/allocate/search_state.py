@@ -15,15 +15,32 @@ from numpy.typing import NDArray
 
 from flockopt.geometry import FloatArray
 
-__all__ = ["Problem", "Routes", "commit", "empty_routes", "insertion_cost", "link", "random_index", "random_unit", "undo", "unlink"]
+__all__ = [
+    "IntArray",
+    "Problem",
+    "Routes",
+    "adopt",
+    "commit",
+    "compiled",
+    "empty_routes",
+    "insertion_cost",
+    "link",
+    "random_index",
+    "random_unit",
+    "resize",
+    "total_cost",
+    "undo",
+    "unlink",
+]
 
 #: Route of a task that no drone visits.
-UNSERVED = -1
+UNSERVED = 2**32 - 1
 
 #: Slots of `Routes.counters`.
 NUM_WAITING, NUM_WAITED, NUM_LOGGED, NUM_RESTING, RUIN = range(5)
 
-IntArray = NDArray[np.int32]
+#: Indices have no sign, so that numba does not look for negative ones at every access.
+IntArray = NDArray[np.uint32]
 
 
 #: Compiles a function of the search. Without numba's reference counts, which cost more than the work they guard
@@ -37,7 +54,9 @@ class Problem(NamedTuple):
     distance: FloatArray  # (C, M + N, M + N) m, per class of drone, from node to node
     drone_class: IntArray  # (N,)
     group: IntArray  # (N,) drones of one group are interchangeable
-    num_groups: int
+    members: IntArray  # (N,) drones sorted by group
+    first_member: IntArray  # (groups,) slot of a group's first drone in `members`
+    num_members: IntArray  # (groups,)
     near: IntArray  # (M, K) nearest tasks, nearest first
     near_groups: IntArray  # (M, G) groups whose drones start or end nearest
     remoteness: FloatArray  # (M,) m, from the nearest start
@@ -54,11 +73,10 @@ class Routes(NamedTuple):
     after: IntArray  # (M + N,) next node
     before: IntArray  # (M + N,) previous node
     route: IntArray  # (M + N,) the drone whose route a node is on, or UNSERVED
-    load: NDArray[np.int64]  # (N,) demand on board
+    room: NDArray[np.int64]  # (N,) demand that still fits on board
     length: FloatArray  # (N,) m
     size: IntArray  # (N,) tasks on the route
-    resting: IntArray  # (N,) drones without tasks, those of group g from slot first_slot[g] on
-    first_slot: IntArray  # (groups,)
+    resting: IntArray  # (N,) drones without tasks, in the slots that `Problem.members` has for their group
     num_resting: IntArray  # (groups,)
     slot: IntArray  # (N,) where a resting drone stands in `resting`
     waiting: IntArray  # (M,) tasks not served
@@ -74,29 +92,26 @@ class Routes(NamedTuple):
 def empty_routes(problem: Problem, seed: int) -> Routes:
     """Routes without tasks: all of them wait."""
     num_drones, num_tasks = len(problem.capacity), len(problem.demand)
-    nodes = np.arange(num_tasks + num_drones, dtype=np.int32)
-    drones = np.arange(num_drones, dtype=np.int32)
-    counts = np.bincount(problem.group, minlength=problem.num_groups)
-    order = np.argsort(problem.group, kind="stable").astype(np.int32)
-    slot = np.empty(num_drones, dtype=np.int32)
-    slot[order] = drones
+    nodes = np.arange(num_tasks + num_drones, dtype=np.uint32)
+    drones = np.arange(num_drones, dtype=np.uint32)
+    slot = np.empty(num_drones, dtype=np.uint32)
+    slot[problem.members] = drones
     depots = nodes[num_tasks:]
     return Routes(
         after=nodes.copy(),
         before=nodes.copy(),
-        route=np.concatenate([np.full(num_tasks, UNSERVED, dtype=np.int32), drones]),
-        load=np.zeros(num_drones, dtype=np.int64),
+        route=np.concatenate([np.full(num_tasks, UNSERVED, dtype=np.uint32), drones]),
+        room=problem.capacity.copy(),
         length=problem.distance[problem.drone_class, depots, depots],
-        size=np.zeros(num_drones, dtype=np.int32),
-        resting=order,
-        first_slot=(np.cumsum(counts) - counts).astype(np.int32),
-        num_resting=counts.astype(np.int32),
+        size=np.zeros(num_drones, dtype=np.uint32),
+        resting=problem.members.copy(),
+        num_resting=problem.num_members.copy(),
         slot=slot,
         waiting=nodes[:num_tasks].copy(),
         waited=nodes[:num_tasks].copy(),
         ruined=np.zeros(num_drones, dtype=np.int64),
-        log_task=np.empty(2 * num_tasks, dtype=np.int32),
-        log_previous=np.empty(2 * num_tasks, dtype=np.int32),
+        log_task=np.empty(2 * num_tasks, dtype=np.uint32),
+        log_previous=np.empty(2 * num_tasks, dtype=np.uint32),
         sort_key=np.empty(num_tasks),
         counters=np.array([num_tasks, num_tasks, 0, num_drones, 0], dtype=np.int64),
         random=_seeded(seed),
@@ -126,7 +141,7 @@ def random_unit(random: NDArray[np.uint64]) -> float:
 
 
 @compiled
-def random_index(random: NDArray[np.uint64], count: int) -> int:
+def random_index(random: NDArray[np.uint64], count: int) -> np.int64:
     """A random integer in [0, count), count < 2**31."""
     return np.int64(((_random_bits(random) >> np.uint64(33)) * np.uint64(count)) >> np.uint64(31))
 
@@ -140,22 +155,33 @@ def insertion_cost(problem: Problem, routes: Routes, task: int, previous: int) -
 
 
 @compiled
+def resize(problem: Problem, routes: Routes, drone: int, more: int) -> None:
+    """Note that the drone's route has ``more`` tasks than before, and whether it rests now."""
+    size = routes.size[drone]
+    routes.size[drone] = size + more
+    group = problem.group[drone]
+    if size == 0 and more > 0:
+        routes.num_resting[group] -= 1
+        routes.counters[NUM_RESTING] -= 1
+        moved, slot = routes.resting[problem.first_member[group] + routes.num_resting[group]], routes.slot[drone]
+        routes.resting[slot], routes.slot[moved] = moved, slot
+    elif size > 0 and size + more == 0:
+        slot = problem.first_member[group] + routes.num_resting[group]
+        routes.resting[slot], routes.slot[drone] = drone, slot
+        routes.num_resting[group] += 1
+        routes.counters[NUM_RESTING] += 1
+
+
+@compiled
 def _link(problem: Problem, routes: Routes, task: int, previous: int) -> float:
     cost = insertion_cost(problem, routes, task, previous)
     drone, following = routes.route[previous], routes.after[previous]
     routes.after[previous], routes.before[task] = task, previous
     routes.after[task], routes.before[following] = following, task
     routes.route[task] = drone
-    routes.load[drone] += problem.demand[task]
+    routes.room[drone] -= problem.demand[task]
     routes.length[drone] += cost
-    if routes.size[drone] == 0:
-        group = problem.group[drone]
-        routes.num_resting[group] -= 1
-        routes.counters[NUM_RESTING] -= 1
-        last = routes.first_slot[group] + routes.num_resting[group]
-        moved, slot = routes.resting[last], routes.slot[drone]
-        routes.resting[slot], routes.slot[moved] = moved, slot
-    routes.size[drone] += 1
+    resize(problem, routes, drone, 1)
     return cost
 
 
@@ -164,14 +190,8 @@ def _unlink(problem: Problem, routes: Routes, task: int) -> float:
     drone, previous, following = routes.route[task], routes.before[task], routes.after[task]
     routes.after[previous], routes.before[following] = following, previous
     routes.route[task] = UNSERVED
-    routes.load[drone] -= problem.demand[task]
-    routes.size[drone] -= 1
-    if routes.size[drone] == 0:
-        group = problem.group[drone]
-        slot = routes.first_slot[group] + routes.num_resting[group]
-        routes.resting[slot], routes.slot[drone] = drone, slot
-        routes.num_resting[group] += 1
-        routes.counters[NUM_RESTING] += 1
+    routes.room[drone] += problem.demand[task]
+    resize(problem, routes, drone, -1)
     cost = insertion_cost(problem, routes, task, previous)
     routes.length[drone] -= cost
     return -cost
@@ -217,3 +237,42 @@ def undo(problem: Problem, routes: Routes) -> None:
     routes.counters[NUM_WAITING] = routes.counters[NUM_WAITED]
     for place in range(routes.counters[NUM_WAITED]):
         routes.waiting[place] = routes.waited[place]
+
+
+@compiled
+def total_cost(problem: Problem, routes: Routes) -> float:
+    """Travel of all drones plus the penalty of every unserved task, metres; sets every drone's length anew."""
+    num_tasks = len(problem.demand)
+    total = problem.penalty * routes.counters[NUM_WAITING]
+    for drone in range(len(problem.capacity)):
+        kind, node, length = problem.drone_class[drone], num_tasks + drone, 0.0
+        while True:
+            following = routes.after[node]
+            length += problem.distance[kind, node, following]
+            node = following
+            if node >= num_tasks:
+                break
+        routes.length[drone] = length
+        total += length
+    return total
+
+
+@compiled
+def adopt(problem: Problem, routes: Routes, after: IntArray) -> None:
+    """Make the routes those that the links ``after`` describe, for all drones; other tasks wait."""
+    num_tasks = len(problem.demand)
+    for task in range(num_tasks):
+        if routes.route[task] != UNSERVED:
+            _unlink(problem, routes, task)
+    for drone in range(len(problem.capacity)):
+        node = num_tasks + drone
+        while after[node] < num_tasks:
+            _link(problem, routes, after[node], node)
+            node = after[node]
+    waiting = 0
+    for task in range(num_tasks):
+        if routes.route[task] == UNSERVED:
+            routes.waiting[waiting] = task
+            waiting += 1
+    routes.counters[NUM_WAITING] = waiting
+    commit(routes)
