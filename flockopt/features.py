@@ -57,7 +57,7 @@ def unrestricted(features: Features) -> Features:
     return features._replace(slack=np.full(len(features.slack), np.inf), bend=np.inf)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: FloatArray) -> None:
     """Fill the outward normals (S, 2) and the corners (S, 2) of the polygon; corner i joins sides i and i + 1."""
     sides = normals.shape[0]
@@ -76,7 +76,7 @@ def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: Float
         corners[side, 1] = row[2] + (support[after] * a - support[side] * c) / cross
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _edges(table: FloatArray, needs: FloatArray) -> FloatArray:
     """Edges of the enclosing prisms, (E, 14): both ends, both normals, owner, and whether the ends are features."""
     edges = np.empty((table.shape[0] * 3 * NUM_SIDES, 14))
@@ -112,7 +112,7 @@ def _edges(table: FloatArray, needs: FloatArray) -> FloatArray:
     return edges[:count]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _blocked_stretch(row: FloatArray, need: float, p: FloatArray, q: FloatArray) -> tuple[float, float]:
     """The fractions of p-q between which it is nearer than ``need`` to the obstacle; (1, 0) if nowhere."""
     d0, d1, d2 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -156,7 +156,7 @@ def _blocked_stretch(row: FloatArray, need: float, p: FloatArray, q: FloatArray)
     return enter, leave
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _near(row: FloatArray, need: float, reach: float, p: FloatArray, q: FloatArray) -> bool:
     """Whether the bounding boxes of the grown obstacle's hull and of p-q meet."""
     for axis in range(3):
@@ -166,7 +166,7 @@ def _near(row: FloatArray, need: float, reach: float, p: FloatArray, q: FloatArr
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float, float]:
     """The fractions of an edge between which it is within bounds; (1, 0) if nowhere."""
     enter, leave = 0.0, 1.0
@@ -181,7 +181,7 @@ def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float
     return enter, leave
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sphere_net(row: FloatArray, need: float, net: FloatArray) -> int:
     """Fill ``net`` (26, 3) with outward directions; return the distance-scaled count of points."""
     count = 0
@@ -199,17 +199,19 @@ def _sphere_net(row: FloatArray, need: float, net: FloatArray) -> int:
     return count + 2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _append(rows: FloatArray, count: int) -> FloatArray:
     """Room for one more row."""
     if count < rows.shape[0]:
         return rows
     wider = np.empty((2 * rows.shape[0], rows.shape[1]))
-    wider[:count] = rows
+    for row in range(count):
+        for column in range(rows.shape[1]):
+            wider[row, column] = rows[row, column]
     return wider
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
     """Features on the free stretches of the edges and around spheres, (F, 13): see `Features` for the columns."""
     table, needs, reach, lower, upper = space
@@ -276,7 +278,7 @@ def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
     return rows[:count]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _free(space: Space, point: FloatArray) -> bool:
     for k in range(space.table.shape[0]):
         if point_distance(space.table[k], point[0], point[1], point[2]) < space.needs[k]:

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from flockopt.geometry import BOX, CYLINDER, FloatArray
 from flockopt.kernels import SEGMENT_TOLERANCE_M, segment_distance
 
-__all__ = ["Space", "blocker", "make_space", "too_near"]
+__all__ = ["Space", "blocked_pairs", "blocker", "make_space", "too_near"]
 
 #: Most steps towards the least distance to a rim; the squared distance is then exact to rounding.
 RIM_STEPS = 14
@@ -39,7 +40,7 @@ def make_space(table: FloatArray, needs: FloatArray, lower: FloatArray, upper: F
     return Space(np.array(table, dtype=np.float64), needs, corner + needs, *bounds)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def blocker(space: Space, p: FloatArray, q: FloatArray, guess: int) -> int:
     """An obstacle that the segment p-q comes too near to, or -1; ``guess`` (or -1) is tried first."""
     table, needs, reach = space.table, space.needs, space.reach
@@ -66,7 +67,21 @@ def blocker(space: Space, p: FloatArray, q: FloatArray, guess: int) -> int:
     return -1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def blocked_pairs(space: Space, points: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether the straight flights between pairs (L, 2) of points (P, 3) come too near to some obstacle, (L,)."""
+    blocked = np.zeros(pairs.shape[0], dtype=np.bool_)
+    p, q = np.empty(3), np.empty(3)
+    guess = -1
+    for index in range(pairs.shape[0]):
+        for axis in range(3):
+            p[axis], q[axis] = points[pairs[index, 0], axis], points[pairs[index, 1], axis]
+        guess = blocker(space, p, q, guess)
+        blocked[index] = guess >= 0
+    return blocked
+
+
+@njit(cache=True, error_model="numpy")
 def too_near(table: FloatArray, k: int, need: float, p: FloatArray, q: FloatArray) -> bool:
     """Whether the segment p-q comes nearer to obstacle k than ``need``, by more than the tolerance."""
     room = need - SEGMENT_TOLERANCE_M
@@ -79,7 +94,7 @@ def too_near(table: FloatArray, k: int, need: float, p: FloatArray, q: FloatArra
     return _sphere_too_near(table, k, room, p, q)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _within(low: float, high: float, x: float, d: float, limit: float) -> tuple[float, float]:
     """The part of low..high where ``abs(x + t d) < limit``; high below low if there is none."""
     if d == 0.0:
@@ -90,13 +105,13 @@ def _within(low: float, high: float, x: float, d: float, limit: float) -> tuple[
     return (first if first > low else low), (second if second < high else high)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _pull(x: float, half: float) -> float:
     """How far x is outside -half..half, with its sign."""
     return x - half if x > half else (x + half if x < -half else 0.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _box_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
     """The squared distance is a convex, piecewise quadratic function along the segment.
 
@@ -141,7 +156,7 @@ def _box_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: Floa
     return a * a + b * b + c * c < room * room
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _box_slope(
     h0: float, h1: float, h2: float, x0: float, x1: float, x2: float, d0: float, d1: float, d2: float, t: float
 ) -> float:
@@ -149,7 +164,7 @@ def _box_slope(
     return _pull(x0 + t * d0, h0) * d0 + _pull(x1 + t * d1, h1) * d1 + _pull(x2 + t * d2, h2) * d2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cylinder_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
     """Closed form beside the cylinder and over its flat ends; only near a rim the distance is iterated."""
     x, y, z = p[0] - table[k, 1], p[1] - table[k, 2], p[2] - table[k, 3]
@@ -197,21 +212,21 @@ def _cylinder_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q:
     return False
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _rim_squared(a: float, b: float, c: float, radius: float, t: float) -> float:
     """Squared horizontal distance to the footprint where the squared distance to its axis is a t^2 + 2 b t + c."""
     outside = math.sqrt(max(a * t * t + 2.0 * b * t + c, 0.0)) - radius
     return outside * outside if outside > 0.0 else 0.0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _rim_slope(a: float, b: float, c: float, radius: float, t: float) -> float:
     """Half the derivative of `_rim_squared`."""
     away = math.sqrt(max(a * t * t + 2.0 * b * t + c, 0.0))
     return (away - radius) * (a * t + b) / away if away > radius else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sphere_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
     x, y, z = table[k, 1] - p[0], table[k, 2] - p[1], table[k, 3] - p[2]
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]

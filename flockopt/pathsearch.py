@@ -24,7 +24,7 @@ __all__ = ["shortest", "within_ellipse"]
 MOST_MEMBERS, MOST_SETTLED = 256, 48
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def within_ellipse(
     space: Space, features: Features, points: FloatArray, views: NDArray[np.uint8], source: int, target: int,
     from_source: FloatArray, bound: float, parent: NDArray[np.int64],
@@ -48,7 +48,9 @@ def within_ellipse(
     position, first, second, slack = features.position, features.first, features.second, features.slack
     members = np.empty(MOST_MEMBERS, dtype=np.int64)
     to_target, distance, settled = np.empty(MOST_MEMBERS), np.empty(MOST_MEMBERS), np.zeros(MOST_MEMBERS, dtype=np.bool_)
-    start, goal, at, there = points[source].copy(), points[target].copy(), np.empty(3), np.empty(3)
+    start, goal, at, there = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for axis in range(3):
+        start[axis], goal[axis] = points[source, axis], points[target, axis]
     size = 0
     for v in range(position.shape[0]):
         if from_source[v] >= bound:
@@ -119,7 +121,7 @@ def within_ellipse(
     return np.inf, -1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rise(heap: NDArray[np.int64], place: NDArray[np.int64], key: FloatArray, at: int) -> None:
     """Move the entry at heap position ``at`` up to where it belongs."""
     v = heap[at]
@@ -134,7 +136,7 @@ def _rise(heap: NDArray[np.int64], place: NDArray[np.int64], key: FloatArray, at
     place[v] = at
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pop(heap: NDArray[np.int64], place: NDArray[np.int64], key: FloatArray, size: int) -> int:
     """Take the least entry out of a heap of ``size``; it is marked -2 in ``place``."""
     top = heap[0]
@@ -159,7 +161,7 @@ def _pop(heap: NDArray[np.int64], place: NDArray[np.int64], key: FloatArray, siz
     return top
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def shortest(
     space: Space, features: Features, sight: Sight, points: FloatArray, views: NDArray[np.uint8],
     source: int, targets: NDArray[np.int64], best: FloatArray, last: NDArray[np.int64], parent: NDArray[np.int64],
@@ -191,8 +193,12 @@ def shortest(
     key = np.empty(num_features)
     heap = np.empty(num_features, dtype=np.int64)
     place = np.full(num_features, -1, dtype=np.int64)  # -1 never met, -2 settled
-    start, goals = points[source].copy(), points[targets]
-    at, goal = np.empty(3), np.empty(3)
+    start, at, goal = np.empty(3), np.empty(3), np.empty(3)
+    goals = np.empty((targets.shape[0], 3))
+    for axis in range(3):
+        start[axis] = points[source, axis]
+        for t in range(targets.shape[0]):
+            goals[t, axis] = points[targets[t], axis]
     size = 0
     worst = best.max()
     guess = -1

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from flockopt.features import Features, make_features, unrestricted
 from flockopt.geometry import FloatArray
 from flockopt.legs import Drawn, Legs, draw, join, merge, pack
-from flockopt.nearness import Space, blocker, make_space
+from flockopt.nearness import Space, blocked_pairs, make_space
 from flockopt.pathsearch import shortest, within_ellipse
 from flockopt.visibility import Sight, empty_sight, segment_length
 
@@ -52,23 +52,31 @@ class Roadmap:
     def legs(self, points: FloatArray, wanted: NDArray[np.bool_]) -> Legs:
         """Paths between all pairs i < j of ``points`` (P, 3) with ``wanted[i, j]`` (P, P)."""
         points = np.ascontiguousarray(points, dtype=np.float64)
-        lengths, pairs = _straight(self._space, points, wanted)
+        pairs = np.argwhere(np.triu(wanted, 1))
+        first, second = pairs.T
+        lengths = np.full((len(points), len(points)), np.inf)
+        np.fill_diagonal(lengths, 0.0)
+        lengths[first, second] = lengths[second, first] = np.linalg.norm(points[first] - points[second], axis=1)
+        pairs = pairs[blocked_pairs(self._space, points, pairs)]
+        first, second = pairs.T
+        lengths[first, second] = lengths[second, first] = np.inf
         if not len(pairs):
             return Legs(lengths, pairs, np.zeros(1, dtype=np.int64), np.empty((0, 3)))
         if self._features is None or self._sight is None:
             self._features = make_features(self._space)
             self._sight = empty_sight(len(self._features.position))
-        self._sight, drawn = self._draw(self._features, self._sight, points, pairs, lengths)
-        drawn, _ = join(self._space, points, drawn, lengths)
-        if (drawn.count < 0).any():
+        self._sight, drawn = self._search(self._features, self._sight, points, pairs, lengths)
+        drawn = join(self._space, points, drawn, lengths)
+        if drawn.missing.any():
             drawn = self._link(self._features, points, drawn, lengths)
-        return Legs(lengths, *pack(drawn))
+        return pack(drawn, lengths)
 
-    def _draw(
+    def _search(
         self, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64], lengths: FloatArray
     ) -> tuple[Sight, Drawn]:
         sight, begin, count, chains = _chains(self._space, features, sight, points, pairs)
-        return sight, draw(self._space, features, points, pairs, begin, count, chains, lengths)
+        drawn = Drawn(pairs, begin, count, features.position[chains], features.along[chains])
+        return sight, draw(self._space, points, drawn, lengths)
 
     def _link(self, features: Features, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
         """Search again, over all features and all bends, for a way between groups of points that have none yet.
@@ -77,56 +85,35 @@ class Roadmap:
         """
         features = unrestricted(features)
         sight = empty_sight(len(features.position))
-        closed: set[int] = set()
+        closed: list[int] = []
         while True:
-            missing = drawn.pairs[drawn.count < 0]
+            missing = drawn.pairs[drawn.missing]
             _, group = connected_components(np.isfinite(lengths), directed=False)
-            done = {int(group[point]) for point in closed}
-            sources = [int(np.flatnonzero(group == name)[0]) for name in np.unique(group[missing]) if name not in done]
+            sources = [int(np.argmax(group == name)) for name in np.setdiff1d(group[missing], group[closed])]
             if len(sources) < 2:
                 return drawn
-            source = min(sources, key=lambda point: _num_seen(self._space, features, points[point]))
+            source = min(sources, key=lambda point: self._num_seen(features, points[point]))
             inside = group == group[source]
             across = missing[inside[missing[:, 0]] != inside[missing[:, 1]]]
             across = np.where(inside[across[:, :1]], across, across[:, ::-1])
-            sight, extra = self._draw(features, sight, points, across[np.argsort(across[:, 0], kind="stable")], lengths)
-            if (extra.count < 0).all():
-                closed.add(source)
+            across = across[np.argsort(across[:, 0], kind="stable")]
+            sight, extra = self._search(features, sight, points, across, lengths)
+            if extra.missing.all():
+                closed.append(source)
                 continue
-            drawn, found = merge(drawn, extra), True
-            while found:
-                drawn, found = join(self._space, points, drawn, lengths)
+            drawn, num_missing = merge(drawn, extra), len(missing) + 1
+            while int(drawn.missing.sum()) < num_missing:
+                num_missing = int(drawn.missing.sum())
+                drawn = join(self._space, points, drawn, lengths)
+
+    def _num_seen(self, features: Features, point: FloatArray) -> int:
+        """How many features a point sees."""
+        others = np.arange(1, len(features.position) + 1)
+        pairs = np.stack([np.zeros_like(others), others], axis=1)
+        return len(others) - int(blocked_pairs(self._space, np.vstack([point, features.position]), pairs).sum())
 
 
-@njit(cache=True)
-def _straight(space: Space, points: FloatArray, wanted: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Lengths (P, P) of the clear straight flights, and the wanted pairs (L, 2) whose flight is blocked."""
-    num_points = points.shape[0]
-    lengths = np.full((num_points, num_points), np.inf)
-    blocked = np.zeros((num_points, num_points), dtype=np.bool_)
-    for i in range(num_points):
-        guess = -1
-        lengths[i, i] = 0.0
-        for j in range(i + 1, num_points):
-            if wanted[i, j]:
-                guess = blocker(space, points[i], points[j], guess)
-                blocked[i, j] = guess >= 0
-                if guess < 0:
-                    lengths[i, j] = lengths[j, i] = segment_length(points[i], points[j])
-    return lengths, np.argwhere(blocked)
-
-
-@njit(cache=True)
-def _num_seen(space: Space, features: Features, point: FloatArray) -> int:
-    """How many features a point sees."""
-    count, guess = 0, -1
-    for v in range(features.position.shape[0]):
-        guess = blocker(space, point, features.position[v], guess)
-        count += guess < 0
-    return count
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _chains(
     space: Space, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64]
 ) -> tuple[Sight, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -172,7 +159,9 @@ def _chains(
             stop += 1
         if num_left > 0:
             best, lasts = np.full(num_left, np.inf), np.full(num_left, -1, dtype=np.int64)
-            targets = pairs[left[:num_left], 1]
+            targets = np.empty(num_left, dtype=np.int64)
+            for t in range(num_left):
+                targets[t] = pairs[left[t], 1]
             sight = shortest(space, features, sight, points, views, source, targets, best, lasts, parent)
             for t in range(num_left):
                 if lasts[t] >= 0:
@@ -183,7 +172,7 @@ def _chains(
     return sight, begin, count, chains[:used]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _trace(
     chains: NDArray[np.int64], used: int, parent: NDArray[np.int64], last: int
 ) -> tuple[NDArray[np.int64], int]:
@@ -194,7 +183,8 @@ def _trace(
         u = parent[u]
     if used + count > chains.shape[0]:
         wider = np.empty(2 * (used + count), dtype=np.int64)
-        wider[:used] = chains[:used]
+        for place in range(used):
+            wider[place] = chains[place]
         chains = wider
     u = last
     for place in range(used + count - 1, used - 1, -1):

@@ -37,13 +37,13 @@ def empty_sight(num_features: int) -> Sight:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def segment_length(p: FloatArray, q: FloatArray) -> float:
     """Metres."""
     return math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tangent(first: FloatArray, second: FloatArray, slack: FloatArray, u: int, d0: float, d1: float, d2: float) -> bool:
     """Whether a line of direction d through feature u stays out of the prism there."""
     a = d0 * first[u, 0] + d1 * first[u, 1] + d2 * first[u, 2]
@@ -51,7 +51,7 @@ def tangent(first: FloatArray, second: FloatArray, slack: FloatArray, u: int, d0
     return a * b <= slack[u] * (d0 * d0 + d1 * d1 + d2 * d2 )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def wraps(
     first: FloatArray, second: FloatArray, bend: float, u: int,
     i0: float, i1: float, i2: float, o0: float, o1: float, o2: float,
@@ -65,7 +65,7 @@ def wraps(
     return a <= limit and b <= limit
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _knows(pool: NDArray[np.int32], begin: int, end: int, u: int) -> bool:
     """Whether u stands in the sorted list that begins and ends there."""
     low, high = begin, end
@@ -78,13 +78,14 @@ def _knows(pool: NDArray[np.int32], begin: int, end: int, u: int) -> bool:
     return low < end and pool[low] == u
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def look_around(space: Space, features: Features, sight: Sight, u: int) -> Sight:
     """Fill the list of feature u: every feature it sees along a line tangent at both."""
     position, first, second, slack = features.position, features.first, features.second, features.slack
     pool, begin, used = sight.pool, sight.begin, sight.used[0]
     begin[u] = used
-    here, there = position[u].copy(), np.empty(3)
+    here, there = np.empty(3), np.empty(3)
+    here[0], here[1], here[2] = position[u, 0], position[u, 1], position[u, 2]
     guess = -1
     for v in range(position.shape[0]):
         if v == u:
@@ -102,7 +103,8 @@ def look_around(space: Space, features: Features, sight: Sight, u: int) -> Sight
         if clear:
             if used == pool.shape[0]:
                 wider = np.empty(2 * used, dtype=np.int32)
-                wider[:used] = pool
+                for entry in range(used):
+                    wider[entry] = pool[entry]
                 pool = wider
             pool[used] = v
             used += 1
@@ -111,7 +113,7 @@ def look_around(space: Space, features: Features, sight: Sight, u: int) -> Sight
     return Sight(pool, begin, sight.end, sight.used)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def sees(
     space: Space, features: Features, views: NDArray[np.uint8], point: int, p: FloatArray, u: int, at: FloatArray, guess: int
 ) -> int:
