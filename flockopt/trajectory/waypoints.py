@@ -6,6 +6,7 @@ They come from the any-angle paths behind the travel matrix, or from the samples
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -54,7 +55,7 @@ class Waypoints:
         tasks: list[tuple[int, ...]] = [()]
         for index, leg in enumerate(legs):
             for point in leg[1:]:
-                if np.linalg.norm(point - points[-1]) > SAME_POINT_M:
+                if math.dist(point, points[-1]) > SAME_POINT_M:
                     points.append(point)
                     rests.append(FLY_THROUGH)
                     tasks.append(())
