@@ -42,7 +42,7 @@ ALLOCATORS: dict[str, Callable[[Scene, Travel, int, float | None], Bundles]] = {
     "search": partial(_refined, "search"),
     "ortools": partial(_refined, "cvrp"),
     "exact": _exact,
-    "lp": partial(_refined, "assignment"),
+    "lp": partial(_refined, "lp"),
     "greedy": _greedy,
     "pyvrp": _pyvrp,
 }

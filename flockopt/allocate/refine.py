@@ -42,7 +42,7 @@ def refine_bundles(
             ratios count. They steer where the search begins; what it then minimises is travel alone.
         travel: Of the scene; computed when left out.
         method: One of `METHODS`.
-        iterations: How long to search; equal seeds and iterations give equal bundles.
+        iterations: How long to search; equal seeds and iterations give equal bundles. Of ``cvrp``, solutions.
         time_limit_s: When to stop, if earlier. With neither limit, a number of iterations that grows with the scene.
         seed: Of the search.
         warm_start: Bundles to begin with.
@@ -79,8 +79,54 @@ def _by_search(request: Request) -> Bundles:
     return explained(request.scene, request.travel, routes)
 
 
+def _by_assignment(request: Request) -> Bundles:
+    """The transport polytope's best assignment, each drone's tasks put in order; preferences default to nearness."""
+    from flockopt.allocate.assignment import transport
+    from flockopt.allocate.tour import shortest_order
+
+    scene, travel = request.scene, request.travel
+    preferences = _nearness(travel) if request.preferences is None else request.preferences
+    able = np.isfinite(travel.start_task) & (scene.demands <= scene.capacities[:, None])
+    assignment = transport(scene, np.where(able, preferences, 0.0)).assignment & able
+    return explained(scene, travel, tuple(shortest_order(travel, i, np.flatnonzero(row)) for i, row in enumerate(assignment)))
+
+
+def _by_routing(request: Request) -> Bundles:
+    from flockopt.allocate.routing import route_with_ortools
+
+    routes = route_with_ortools(
+        request.scene,
+        request.travel,
+        warm_start=request.warm_start,
+        solutions=request.iterations,
+        time_limit_s=request.time_limit_s,
+    )
+    return explained(request.scene, request.travel, routes)
+
+
+def _exactly(request: Request) -> Bundles:
+    from flockopt.allocate.exact import solve_exact
+
+    warm_start = Bundles(request.warm_start) if request.warm_start else None
+    return solve_exact(
+        request.scene, request.travel, warm_start=warm_start, time_limit_s=request.time_limit_s, seed=request.seed
+    ).bundles
+
+
 #: The ways to make bundles. Each imports its solver when called.
-METHODS: dict[str, Callable[[Request], Bundles]] = {"search": _by_search}
+METHODS: dict[str, Callable[[Request], Bundles]] = {
+    "search": _by_search,
+    "lp": _by_assignment,
+    "cvrp": _by_routing,
+    "exact": _exactly,
+}
+
+
+def _nearness(travel: Travel) -> FloatArray:
+    """(N, M) preferences that fall with the distance from a drone's start."""
+    legs = travel.start_task[np.isfinite(travel.start_task)]
+    longest_m = float(legs.max(initial=1.0))
+    return np.where(np.isfinite(travel.start_task), 1.0 - 0.999 * travel.start_task / longest_m, 0.0)
 
 
 def _as_detour(travel: Travel, preferences: FloatArray) -> FloatArray:

@@ -1,0 +1,148 @@
+"""Public multi-depot open routing instances: our search beside PyVRP's and OR-Tools' published costs.
+
+    python -m benchmarks.public_instances --data benchmarks/data/mdovrp-val-50.npz --out out/public-50
+
+Each file holds 128 instances: three depots with unlimited identical vehicles, customers with demands, open routes
+in the unit square. A depot's vehicles become enough drones. Writes ``public_instances.csv`` (a row an instance) and
+``summary.md``. One thread an instance; the first, a warm-up, is solved twice.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from benchmarks.report import Rows, header, markdown_table, write_summary
+from flockopt import Bounds, Drone, Scene, SettingsError, Task, refine_bundles
+from flockopt.geometry import FloatArray
+from flockopt.travel import straight_travel
+
+__all__ = ["Instances", "main"]
+
+COLUMNS = ("instance", "method", "seconds", "cost", "pyvrp_cost", "ortools_cost")
+NUM_DEPOTS = 3
+FIELDS = ("locations", "demands", "capacity", "depots", "pyvrp_cost", "ortools_cost")
+
+#: Drones at each depot, as a multiple of the vehicles that the total demand takes: more than any good solution uses.
+DRONES_PER_NEED = 2
+
+
+@dataclass(frozen=True)
+class Instances:
+    """The instances of one file.
+
+    Attributes:
+        locations: (B, 3 + n, 2), the depots first.
+        demands: (B, n).
+        capacity: Of every vehicle.
+        pyvrp_cost: (B,) published.
+        ortools_cost: (B,) published.
+    """
+
+    locations: FloatArray
+    demands: FloatArray
+    capacity: int
+    pyvrp_cost: FloatArray
+    ortools_cost: FloatArray
+
+    @classmethod
+    def load(cls, path: Path) -> Instances:
+        """Read a file, without executing anything in it.
+
+        Raises:
+            SettingsError: If it is not a file of instances, naming what is missing.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                fields = {name: data[name] for name in FIELDS}
+        except (OSError, ValueError, KeyError) as fault:
+            rule = f"must be an .npz file with {', '.join(FIELDS)}"
+            raise SettingsError("data", f"{path} cannot be read ({fault})", rule, "name such a file") from None
+        if int(fields.pop("depots")) != NUM_DEPOTS:
+            raise SettingsError("data", f"{path} has other depots", f"must have {NUM_DEPOTS}", "name another file")
+        return cls(**fields | {"capacity": int(fields["capacity"])})
+
+    def __len__(self) -> int:
+        return len(self.locations)
+
+    def scene(self, index: int) -> Scene:
+        """An instance as a scene in the plane; a depot's vehicles are drones that start on one spot."""
+        places = np.column_stack([self.locations[index].astype(np.float64), np.zeros(self.locations.shape[1])])
+        demands = self.demands[index].astype(int)
+        fleet = DRONES_PER_NEED * -(-int(demands.sum()) // self.capacity)
+        limits = {"radius": 1e-3, "max_speed": 1.0, "max_acceleration": 1.0, "max_jerk": 1.0}
+        drones = [
+            Drone(f"depot-{depot}-{k}", tuple(places[depot]), self.capacity, **limits)
+            for depot in range(NUM_DEPOTS)
+            for k in range(fleet)
+        ]
+        tasks = [Task(f"t{j}", tuple(place), int(demands[j])) for j, place in enumerate(places[NUM_DEPOTS:])]
+        return Scene(f"mdovrp-{index}", Bounds((-1, -1, -1), (2, 2, 1)), tuple(drones), tuple(tasks))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the benchmark; 0 if the mean cost is at most PyVRP's."""
+    options = _parser().parse_args(argv)
+    try:
+        instances = Instances.load(options.data)
+    except SettingsError as fault:
+        print(fault, file=sys.stderr)
+        return 2
+    rows = Rows(options.out / "public_instances.csv", COLUMNS)
+    count = min(options.instances or len(instances), len(instances))
+    _solve(instances, 0, options)
+    for index in range(count):
+        rows.add(_solve(instances, index, options))
+        print(f"\r{index + 1}/{count}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    rows.close()
+    means = {key: float(np.mean([record[key] for record in rows.records])) for key in COLUMNS[2:]}
+    table = [
+        [f"flockopt {options.method}", means["cost"], means["seconds"]],
+        ["PyVRP, published", means["pyvrp_cost"], "-"],
+        ["OR-Tools, published", means["ortools_cost"], "-"],
+    ]
+    better = sum(record["cost"] < record["pyvrp_cost"] - 1e-6 for record in rows.records)
+    worse = sum(record["cost"] > record["pyvrp_cost"] + 1e-6 for record in rows.records)
+    note = f"{count} instances of {options.data.name}: better than PyVRP's cost in {better}, worse in {worse}.\n\n"
+    columns = ["method", "mean cost", "mean seconds"]
+    write_summary(
+        options.out, header("Public instances", "benchmarks.public_instances") + "\n" + note + markdown_table(columns, table)
+    )
+    return 0 if means["cost"] <= means["pyvrp_cost"] else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.public_instances", description=__doc__.split("\n")[0])
+    parser.add_argument("--data", type=Path, required=True, help="an .npz file, such as benchmarks/data/mdovrp-val-50.npz")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
+    parser.add_argument("--method", default="search", help="of refine_bundles (default search)")
+    parser.add_argument("--seconds", type=float, default=1.0, help="time limit for each instance (default 1)")
+    parser.add_argument("--instances", type=int, default=None, help="how many, from the first (default all)")
+    parser.add_argument("--seed", type=int, default=0, help="of the search (default 0)")
+    return parser
+
+
+def _solve(instances: Instances, index: int, options: argparse.Namespace) -> dict[str, object]:
+    """Solve one instance; its cost is recomputed from the distances and the routes, served tasks counted."""
+    scene = instances.scene(index)
+    travel = straight_travel(scene)
+    began = perf_counter()
+    bundles = refine_bundles(scene, travel=travel, method=options.method, time_limit_s=options.seconds, seed=options.seed)
+    seconds = perf_counter() - began
+    whole = sorted(task for route in bundles for task in route) == list(range(scene.num_tasks))
+    return {
+        "instance": index, "method": options.method, "seconds": seconds,
+        "cost": travel.total(bundles.routes) if whole else float("inf"),
+        "pyvrp_cost": float(instances.pyvrp_cost[index]), "ortools_cost": float(instances.ortools_cost[index]),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,159 @@
+"""How fast and how well a flying fleet is replanned when tasks and drones come and go.
+
+    python -m benchmarks.replanning --events 1000 --seed 0 --out out/replanning
+
+Flies certified plans and strikes them with seeded events: a task added, one removed, a drone lost, or all of it at
+once; each flight takes several, each replanned from the plan before. Writes ``replanning.csv`` (a row an event),
+``summary.md`` and ``replanning.png``. `cost_ratio` is the travel of the new bundles over that of a long search from the
+same situation with nothing to be kept; `churn` is the share of open tasks that change drones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from flockopt import Changes, Scene, SceneError, Task, compute_travel, generate, plan, refine_bundles, replan
+from flockopt.families import FAMILIES
+from flockopt.planfile import Plan
+from flockopt.replan import Replanned
+
+__all__ = ["main"]
+
+COLUMNS = (
+    "scene", "family", "seed", "event", "kind", "time", "status", "strategy", "open", "served", "unserved",
+    "churn", "cost", "scratch_cost", "cost_ratio", "seconds",
+)  # fmt: skip
+KINDS = ("added", "removed", "lost", "mixed")
+
+#: Events that strike one flight before another scene is taken.
+EVENTS_A_FLIGHT = 4
+
+#: Iterations of the search that has nothing to keep and no hurry.
+SCRATCH_ITERATIONS = 40_000
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the benchmark; 0 if every event ends in a certified plan."""
+    options = _parser().parse_args(argv)
+    rows = Rows(options.out / "replanning.csv", COLUMNS)
+    list(_events(options.families[0], options.drones, options.tasks, options.seed, 1))  # a warm-up that does not count
+    share = -(-options.events // len(options.families))
+    for family in options.families:
+        for record in _events(family, options.drones, options.tasks, options.seed, min(share, options.events)):
+            rows.add(record)
+            print(f"\r{len(rows.records)}/{share * len(options.families)} {family:<10}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    rows.close()
+    write_summary(options.out, _summary(rows.records))
+    _plot(rows.records, options.out / "replanning.png")
+    return 0 if all(record["status"] == "certified" for record in rows.records) else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.replanning", description=__doc__.split("\n")[0])
+    parser.add_argument("--events", type=int, default=1000, help="events in all (default 1000)")
+    parser.add_argument("--drones", type=int, default=10, help="drones a scene (default 10)")
+    parser.add_argument("--tasks", type=int, default=20, help="tasks a scene (default 20)")
+    parser.add_argument("--seed", type=int, default=0, help="the first scene's seed (default 0)")
+    parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=list(FAMILIES), help="scenes (default all)")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
+    return parser
+
+
+def _events(family: str, drones: int, tasks: int, first_seed: int, count: int) -> Iterator[dict[str, object]]:
+    """Rows of ``count`` events that strike flights through scenes of one family."""
+    seed = first_seed
+    while count > 0:
+        scene = generate(family, drones=drones, tasks=tasks, seed=seed)
+        flying, rng = plan(scene, seed=seed), np.random.default_rng([seed, 7])
+        for event in range(min(EVENTS_A_FLIGHT, count)):
+            kind = KINDS[int(rng.integers(len(KINDS)))]
+            changes = _changes(scene, kind, f"{seed}-{event}", rng)
+            now_s = float(rng.uniform(0.0, 0.7) * flying.cost.makespan)
+            answer = replan(scene, flying, now_s, changes, seed=seed)
+            yield _row(family, seed, event, kind, scene, flying, answer, now_s)
+            count -= 1
+            if answer.plan.status != "certified" or not answer.scene.num_tasks:
+                break
+            scene, flying = answer.scene, answer.plan
+        seed += 1
+
+
+def _changes(scene: Scene, kind: str, name: str, rng: np.random.Generator) -> Changes:
+    added, removed, lost = (), (), ()
+    if kind in ("added", "mixed"):
+        added = (_new_task(scene, f"new-{name}", rng),)
+    if kind in ("removed", "mixed") and scene.num_tasks:
+        removed = (scene.tasks[int(rng.integers(scene.num_tasks))].id,)
+    if kind in ("lost", "mixed") and scene.num_drones > 2:
+        lost = (scene.drones[int(rng.integers(scene.num_drones))].id,)
+    return Changes(added, removed, lost)
+
+
+def _new_task(scene: Scene, name: str, rng: np.random.Generator) -> Task:
+    """A task at a random place that is valid in the scene."""
+    while True:
+        task = Task(name, tuple(rng.uniform(scene.bounds.lower, scene.bounds.upper)))
+        try:
+            scene.replace(tasks=(*scene.tasks, task))
+        except SceneError:
+            continue
+        return task
+
+
+def _row(
+    family: str, seed: int, event: int, kind: str, scene: Scene, old: Plan, answer: Replanned, now_s: float
+) -> dict[str, object]:
+    owner = {task: drone for drone, route in old.routes.items() for task in route}
+    now = {task: drone for drone, route in answer.plan.routes.items() for task in route}
+    both = [task for task in now if task in owner]
+    scratch = refine_bundles(answer.scene, travel=(travel := compute_travel(answer.scene)), iterations=SCRATCH_ITERATIONS)
+    best = travel.total(scratch.routes)
+    return {
+        "scene": scene.sha256[:12], "family": family, "seed": seed, "event": event, "kind": kind, "time": now_s,
+        "status": answer.plan.status, "strategy": answer.strategy, "open": len(now) + len(answer.unserved),
+        "served": len(now), "unserved": len(answer.unserved),
+        "churn": sum(now[task] != owner[task] for task in both) / max(len(both), 1),
+        "cost": answer.plan.cost.travel, "scratch_cost": best,
+        "cost_ratio": answer.plan.cost.travel / best if best > 0.0 else 1.0, "seconds": answer.seconds,
+    }  # fmt: skip
+
+
+def _summary(records: list[dict[str, object]]) -> str:
+    table = []
+    for family in dict.fromkeys(record["family"] for record in records):
+        group = [record for record in records if record["family"] == family]
+        certified = sum(record["status"] == "certified" for record in group)
+        median, worst = spread([record["seconds"] * 1e3 for record in group])
+        strategies = [sum(record["strategy"] == name for record in group) for name in ("new", "old", "appended", "kept")]
+        unserved = sum(record["unserved"] for record in group)
+        ratio, churn = (float(np.mean([record[key] for record in group])) for key in ("cost_ratio", "churn"))
+        table.append([family, f"{certified}/{len(group)}", median, worst, *strategies, unserved, churn, ratio])
+    columns = ["scenes", "certified", "p50 ms", "p95 ms", "new", "old", "appended", "kept", "unserved", "churn", "cost ratio"]
+    note = "New to kept: how the certified plan came about. Unserved tasks are listed with their reason in each answer.\n\n"
+    return header("Replanning", "benchmarks.replanning") + "\n" + note + markdown_table(columns, table)
+
+
+def _plot(records: list[dict[str, object]], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
+    for family in dict.fromkeys(record["family"] for record in records):
+        seconds = np.sort([record["seconds"] * 1e3 for record in records if record["family"] == family])
+        axes.plot(seconds, np.arange(1, len(seconds) + 1) / len(seconds), label=family)
+    axes.set_xscale("log")
+    axes.set_xlabel("milliseconds to a certified plan")
+    axes.set_ylabel("share of events")
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
