@@ -173,12 +173,7 @@ def best_place(problem: Problem, routes: Routes, task: int, blink_share: float) 
         cost = distance[kind, node, task] + from_task - distance[kind, node, neighbour]
         if cost < best_cost and length[drone] + cost <= longest[drone] and random_unit(random) > blink_share:
             best, best_cost = node, cost
-    near_groups, first_member, num_resting, resting = (
-        problem.near_groups,
-        problem.first_member,
-        routes.num_resting,
-        routes.resting,
-    )
+    near_groups, num_resting, resting = problem.near_groups, routes.num_resting, routes.resting
     for rank in range(near_groups.shape[1]):
         group = near_groups[task, rank]
         if num_resting[group] == 0:
