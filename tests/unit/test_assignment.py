@@ -80,5 +80,5 @@ def test_bad_settings_and_a_missing_solver(monkeypatch):
     with pytest.raises(SettingsError, match="solver is 'auto'"):
         predecessor_arcs(scene, straight_travel(scene), solver="auto")
     monkeypatch.setitem(sys.modules, "cvxpy", None)
-    with pytest.raises(MissingExtra, match="cvxpy.*solvers"):
+    with pytest.raises(MissingExtra, match=r"cvxpy.*solvers"):
         transport(scene, preferences)

@@ -79,5 +79,5 @@ def test_the_assignment_follows_preferences():
 def test_without_or_tools_the_extra_is_named(monkeypatch):
     scene, travel = case(0)
     monkeypatch.setitem(sys.modules, "ortools.constraint_solver", None)
-    with pytest.raises(MissingExtra, match="ortools.*solvers"):
+    with pytest.raises(MissingExtra, match=r"ortools.*solvers"):
         refine_bundles(scene, travel=travel, method="cvrp")
