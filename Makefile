@@ -49,6 +49,10 @@ lint: $(READY)  ## check style, formatting and types
 
 bench: $(READY)  ## run every benchmark on a few small scenes
 	$(RUN) -m benchmarks.planning --scenes 1 --seed 0 --sizes 4x8 --out out/bench/planning
+	$(RUN) -m benchmarks.optimality_gap --scenes 2 --seed 0 --sizes 4x8 --methods greedy,search-5ms,lp,exact --out out/bench/gap
+	$(RUN) -m benchmarks.public_instances --data benchmarks/data/mdovrp-val-50.npz --instances 2 --out out/bench/public
+	$(RUN) -m benchmarks.trajectories --scenes 2 --seed 0 --size 3x6 --out out/bench/trajectories
+	$(RUN) -m benchmarks.replanning --events 4 --drones 4 --tasks 8 --families forest city --out out/bench/replanning
 
 pictures: demo  ## draw the pictures of the README and docs anew
 	$(RUN) -m flockopt show $(DEMO) out/rotterdam.plan.json -o docs/images/rotterdam.png
