@@ -148,6 +148,8 @@ class _Lists:
             pool = enumerate_routes(self.groups, self.prices, gap, longest, limit)
             if pool is None:
                 too_wide, gap = gap if limit == MOST_ROUTES else math.inf, gap / OVERFLOW_SHRINK
+                if gap < LEAST_GAP_M:
+                    break
                 continue
             limit = MOST_ROUTES
             routes, bound = self._choose(pool, fleet, searched, upper)
