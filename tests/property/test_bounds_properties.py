@@ -1,0 +1,95 @@
+"""A bound stays below the optimum whatever its vector holds, and does not depend on how the scene is written down."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flockopt.allocate.bounds import lower_bound
+from flockopt.allocate.exact import solve_exact
+from flockopt.bundles import Bound
+from flockopt.proof import recompute_bound
+from flockopt.scene import Scene, Task
+from flockopt.travel import straight_travel
+from tests.instances import random_scene
+from tests.known.brute_force import least_travel
+
+#: Metres, for sums of legs in another order.
+ROUNDING_M = 1e-9
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def small_scene(seed):
+    rng = np.random.default_rng(seed)
+    tasks = int(rng.integers(1, 7))
+    return random_scene(
+        rng, drones=3, tasks=tasks, capacity=[tasks, 3 * tasks, 2], ends=bool(rng.integers(2)), demands=bool(rng.integers(2))
+    )
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=seeds,
+    kind=st.sampled_from(["fast", "tight", "exact"]),
+    tampering=st.sampled_from(["noise", "scale", "spike", "swap", "random"]),
+)
+def test_a_tampered_vector_proves_nothing_above_the_optimum(seed, kind, tampering):
+    scene = small_scene(seed)
+    travel, rng = straight_travel(scene), np.random.default_rng(seed + 1)
+    optimum = least_travel(scene, travel)
+    proof = lower_bound(scene, travel, bound=kind, upper=optimum)
+    assert recompute_bound(scene, travel, proof) <= optimum + ROUNDING_M
+    dual = proof.dual.copy()
+    if tampering == "noise":
+        dual += rng.normal(0, 1, dual.shape)
+    elif tampering == "scale":
+        dual *= rng.uniform(-2, 5)
+    elif tampering == "spike" and dual.size:
+        dual[rng.integers(dual.size)] += 10 ** rng.uniform(-3, 6)
+    elif tampering == "swap":
+        rng.shuffle(dual)
+    else:
+        dual = rng.uniform(-5, 25, dual.shape)
+    tampered = Bound(proof.kind, 2 * optimum, dual)
+    assert recompute_bound(scene, travel, tampered) <= optimum * (1 + 1e-9) + ROUNDING_M
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_optimum_and_forest_do_not_depend_on_order_or_place(seed):
+    scene = small_scene(seed)
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(scene.num_tasks)
+    turned = scene.replace(tasks=tuple(scene.tasks[j] for j in order), drones=scene.drones[::-1])
+    shifted = moved(scene, np.array([3.0, -2.0, 1.0]))
+    value = solve_exact(scene, straight_travel(scene)).proven
+    for other in (turned, shifted):
+        assert solve_exact(other, straight_travel(other)).proven == pytest.approx(value, rel=1e-7)
+        fast = lower_bound(other, straight_travel(other), bound="fast").value
+        assert fast == pytest.approx(lower_bound(scene, straight_travel(scene), bound="fast").value, rel=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_tighter_bounds_are_not_lower_and_the_exact_bound_is_below_what_it_starts(seed):
+    scene = small_scene(seed)
+    travel = straight_travel(scene)
+    fast, tight = (lower_bound(scene, travel, bound=kind).value for kind in ("fast", "tight"))
+    result = solve_exact(scene, travel)
+    assert fast <= tight + ROUNDING_M
+    assert result.bound.value <= result.proven + ROUNDING_M
+
+
+def moved(scene: Scene, by: np.ndarray) -> Scene:
+    """The whole scene somewhere else."""
+
+    def shift(point):
+        return point if point is None or isinstance(point, str) else tuple((np.array(point) + by).tolist())
+
+    bounds = dataclasses.replace(scene.bounds, lower=shift(scene.bounds.lower), upper=shift(scene.bounds.upper))
+    drones = tuple(dataclasses.replace(drone, start=shift(drone.start), end=shift(drone.end)) for drone in scene.drones)
+    tasks = tuple(Task(task.id, shift(task.position), task.demand) for task in scene.tasks)
+    return scene.replace(bounds=bounds, drones=drones, tasks=tasks)
