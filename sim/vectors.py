@@ -11,8 +11,8 @@ from typing import TypeAlias
 from numba import njit
 
 __all__ = [
-    "Axes", "Quaternion", "Vector", "axes_of", "cross", "dot", "minus", "norm", "plus", "rotated", "times", "to_body", "to_world",
-    "turn_between",
+    "Axes", "Quaternion", "Vector", "axes_of", "cross", "dot", "minus", "norm", "plus", "rotated", "times", "to_body",
+    "to_world", "turn_between",
 ]  # fmt: skip
 
 Vector: TypeAlias = tuple[float, float, float]
@@ -25,13 +25,13 @@ SMALL_ANGLE = 1e-8
 
 @njit(cache=True, error_model="numpy")
 def plus(a: Vector, b: Vector) -> Vector:
-    """a + b."""
+    """The sum a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @njit(cache=True, error_model="numpy")
 def minus(a: Vector, b: Vector) -> Vector:
-    """a - b."""
+    """The difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 

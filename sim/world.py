@@ -1,13 +1,18 @@
 """A PyBullet world made from a scene: its obstacles, its drones, and what touches what.
 
-PyBullet has no calls for many bodies at once, so a step costs one write and one read a drone: the write is the velocity
-that `sim.fleet` has worked out from thrust, gravity and drag, the read is the pose that PyBullet made of it. Where bodies
-touch, PyBullet's contact solver changes velocities too, and only then they are read back.
+PyBullet has no calls for many bodies at once, and each call costs as much as a drone's whole controller. So a step writes
+each drone's mean velocity, which `sim.fleet` has worked out from thrust, gravity and drag, and PyBullet moves the bodies
+and finds and resolves contacts. A body that nothing is near to ends where that velocity takes it, which is known without
+asking: only the poses and velocities of bodies with contact points are read back at once, all others every few steps.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import ModuleType, TracebackType
 from typing import Any, Self
@@ -30,6 +35,9 @@ SHAPES = ("ball", "disc")
 #: The flat cylinder's height over its diameter; its rims are on the ball.
 DISC_FLATNESS = 0.25
 
+#: Steps from one reading of all poses to the next.
+READ_EVERY = 24
+
 #: How bouncy and how rough drones are.
 RESTITUTION, FRICTION = 0.2, 0.4
 
@@ -43,11 +51,28 @@ def load_pybullet() -> ModuleType:
     Raises:
         MissingExtra: If it is not installed.
     """
+    if "pybullet" in sys.modules:
+        return sys.modules["pybullet"]
     try:
-        import pybullet
+        with _silence():
+            import pybullet
     except ImportError:
         raise MissingExtra("pybullet", "sim") from None
     return pybullet
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Drop what C code writes to standard error: on import PyBullet tells when it was built."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 @dataclass(frozen=True)
@@ -68,16 +93,21 @@ class World:
         step_s: Seconds a step, > 0.
         shape: One of `SHAPES`, the drones' collision shape.
         gui: Whether to open a window; the server is in this process without one otherwise.
+        read_every: After how many steps all poses are read, whether anything was near them or not.
 
     Raises:
         MissingExtra: If PyBullet is not installed.
-        SettingsError: On an unknown shape or a step that is not positive.
+        SettingsError: On an unknown shape, or a step or ``read_every`` that is not positive.
         SolverFailed: If PyBullet cannot connect.
     """
 
-    def __init__(self, scene: Scene, vehicles: list[Vehicle], step_s: float, *, shape: str = "ball", gui: bool = False) -> None:
+    def __init__(
+        self, scene: Scene, vehicles: list[Vehicle], step_s: float, *, shape: str = "ball", gui: bool = False,
+        read_every: int = READ_EVERY,
+    ) -> None:  # fmt: skip
         if shape not in SHAPES:
             raise SettingsError("shape", f"is {shape!r}", f"must be one of {', '.join(SHAPES)}", "choose one")
+        self._read_every, self._steps = reading.integer(SettingsError, "read_every", read_every, least=1), 0
         self.step_s = reading.number(SettingsError, "step_s", step_s, above=0.0)
         self._scene, self._bullet = scene, load_pybullet()
         self.client: int = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
@@ -103,10 +133,11 @@ class World:
             self.client = -1
 
     def step(self, states: FloatArray, drive: FloatArray, spin: FloatArray, time: float) -> list[Touch]:
-        """Let the drones move for one step and read their poses.
+        """Let the drones move for one step.
 
         Args:
-            states: (N, 17) as in `sim.fleet`; poses are brought up to date, and velocities of drones that touch something.
+            states: (N, 17) as in `sim.fleet`, where the drones will be if nothing is in their way; poses and velocities of
+                those that touch something are brought up to date, and now and then the poses of all.
             drive: (N, 3) velocities to move with, m/s.
             spin: (N, 3) rad/s in the world frame, to turn with.
             time: At the end of the step, s.
@@ -118,26 +149,32 @@ class World:
         for body, velocity, turning in zip(self.bodies, drive.tolist(), spin.tolist(), strict=True):
             write(body, velocity, turning, client)
         self._bullet.stepSimulation(client)
-        read = self._bullet.getBasePositionAndOrientation
-        poses = [read(body, client) for body in self.bodies]
-        states[:, POSE] = [place + attitude for place, attitude in poses]
+        self._steps += 1
+        if self._steps % self._read_every == 0:
+            for body in self.bodies:
+                self._read_pose(body, states[self._number[body]])
         contacts = self._bullet.getContactPoints(physicsClientId=client)
-        if not contacts and not self._touching:
-            return []
-        return self._touches(contacts, states, time)
+        return self._touches(contacts, states, time) if contacts or self._touching else []
 
     def _touches(self, contacts: Any, states: FloatArray, time: float) -> list[Touch]:
-        """Read back the velocities of what touches, and say what is new."""
-        pairs = set()
+        """Read back what the contact solver may have moved, and say what touches since this step."""
+        pairs, moved = set(), set()
         for contact in contacts:
             first, second, gap = contact[1], contact[2], contact[8]
+            moved.update({first, second} & self._number.keys())
             if gap <= 0.0:
                 pairs.add((first, second) if first in self._number else (second, first))
-        for body in {body for pair in pairs for body in pair if body in self._number}:
-            self._read_velocity(body, states[self._number[body]])
+        for body in moved:
+            state = states[self._number[body]]
+            self._read_pose(body, state)
+            self._read_velocity(body, state)
         fresh = sorted(pairs - self._touching)
         self._touching = frozenset(pairs)
         return [Touch(time, self._names[body], self._names[other]) for body, other in fresh]
+
+    def _read_pose(self, body: int, state: FloatArray) -> None:
+        place, attitude = self._bullet.getBasePositionAndOrientation(body, self.client)
+        state[POSE] = place + attitude
 
     def _read_velocity(self, body: int, state: FloatArray) -> None:
         velocity, spin = self._bullet.getBaseVelocity(body, self.client)
@@ -193,8 +230,11 @@ class World:
         number = bullet.createMultiBody(
             vehicle.mass, body, visual, drone.start, useMaximalCoordinates=True, physicsClientId=self.client
         )
-        bullet.changeDynamics(  # without the mass, the inertia makes a rigid body's mass NaN
-            number, -1, mass=vehicle.mass, localInertiaDiagonal=vehicle.inertia, linearDamping=0.0, angularDamping=0.0,
+        # Without the mass, setting the inertia makes the mass NaN. The same inertia about all axes keeps PyBullet from adding
+        # gyroscopic torques, which are in the spin that it is given; to contacts the difference is small.
+        inertia = [sum(vehicle.inertia) / 3.0] * 3
+        bullet.changeDynamics(
+            number, -1, mass=vehicle.mass, localInertiaDiagonal=inertia, linearDamping=0.0, angularDamping=0.0,
             restitution=RESTITUTION, lateralFriction=FRICTION, activationState=bullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=self.client,
         )  # fmt: skip

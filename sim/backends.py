@@ -1,0 +1,98 @@
+"""Where a batch runs: processes or threads of this machine, a Dask or a Ray cluster, all through joblib."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+
+from flockopt.errors import MissingExtra, SettingsError
+
+__all__ = ["BACKENDS", "Deaths", "open_backend"]
+
+#: Exceptions that say that a worker died.
+Deaths = tuple[type[BaseException], ...]
+
+
+@contextmanager
+def open_backend(name: str, jobs: int) -> Iterator[Deaths]:
+    """Let joblib run on a backend within a ``with`` statement; gives the exceptions by which dead workers are known.
+
+    Args:
+        name: One of `BACKENDS`.
+        jobs: How many workers, where this process starts them.
+
+    Raises:
+        SettingsError: If there is no such backend.
+        MissingExtra: If its package is not installed.
+    """
+    if name not in BACKENDS:
+        raise SettingsError("backend", f"is {name!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
+    with BACKENDS[name](jobs) as deaths:
+        yield deaths
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[Deaths]:
+    from joblib import parallel_config
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
+        yield (BrokenProcessPool,)
+
+
+@contextmanager
+def _threads(jobs: int) -> Iterator[Deaths]:
+    from joblib import parallel_config
+
+    with parallel_config(backend="threading", n_jobs=jobs):
+        yield ()
+
+
+@contextmanager
+def _dask(jobs: int) -> Iterator[Deaths]:
+    """The cluster that the environment variable DASK_SCHEDULER_ADDRESS names, or workers of this machine."""
+    try:
+        from dask import config
+        from distributed import Client, KilledWorker, LocalCluster
+    except ImportError:
+        raise MissingExtra("distributed", "cluster") from None
+    from joblib import parallel_config
+
+    address = config.get("scheduler-address", None)
+    if address is not None:
+        with Client(address), parallel_config(backend="dask"):
+            yield (KilledWorker,)
+        return
+    local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, host="127.0.0.1")
+    with local, Client(local), parallel_config(backend="dask"):
+        yield (KilledWorker,)
+
+
+@contextmanager
+def _ray(jobs: int) -> Iterator[Deaths]:
+    """The cluster that the environment variable RAY_ADDRESS names, or workers of this machine."""
+    try:
+        import ray
+        from ray.util.joblib import register_ray
+    except ImportError:
+        raise MissingExtra("ray", "cluster") from None
+    import os
+
+    from joblib import parallel_config
+
+    local = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "include_dashboard": False}
+    ray.init(log_to_driver=False, configure_logging=False, **local)
+    register_ray()
+    try:
+        with parallel_config(backend="ray", n_jobs=jobs):
+            yield (ray.exceptions.RayActorError, ray.exceptions.WorkerCrashedError)
+    finally:
+        ray.shutdown()
+
+
+BACKENDS: dict[str, Callable[[int], AbstractContextManager[Deaths]]] = {
+    "loky": _processes,
+    "dask": _dask,
+    "ray": _ray,
+    "threading": _threads,
+}

@@ -1,0 +1,148 @@
+"""Plan and fly many scenes and say what came of it.
+
+    python -m sim.evaluate --family forest --drones 10 --tasks 20 --scenes 100 --seed 0 --jobs 2 --out out/forest
+
+Writes ``flights.csv`` (a row a flight, the same on every run), ``timings.csv``, ``summary.md``, ``summary.png`` and
+``flight.gif``. Killed and started again, it goes on where it stopped. Exit status 0 if every flight was certified,
+complete and without contact, 1 if not, 2 on bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from flockopt import FlockError, SettingsError, plan, reading
+from flockopt.families import FAMILIES
+from flockopt.plan import planner_names
+from sim.backends import BACKENDS
+from sim.batch import run_batch
+from sim.execute import execute
+from sim.fleet import CONTROLLERS
+from sim.journal import Journal
+from sim.movie import save_movie
+from sim.progress import ProgressBar
+from sim.settings import FlightSettings
+from sim.summary import draw_summary, flawless, summary_text
+from sim.trial import Result, Trial
+from sim.vehicles import VEHICLES
+from sim.world import load_pybullet
+
+__all__ = ["add_flight_options", "flight_settings", "main"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line."""
+    words = sys.argv[1:] if argv is None else list(argv)
+    options = _parser().parse_args(words, argparse.Namespace(words=words))
+    try:
+        return _evaluate(options)
+    except FlockError as fault:
+        print(f"sim.evaluate: {fault}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m sim.evaluate", description=__doc__.split("\n")[0])
+    parser.add_argument("--family", default="forest", help=f"of scenes: {', '.join(FAMILIES)} (default forest)")
+    parser.add_argument("--drones", type=int, default=10, help="in each scene (default 10)")
+    parser.add_argument("--tasks", type=int, default=20, help="in each scene (default 20)")
+    parser.add_argument("--scenes", type=int, default=100, help="how many (default 100)")
+    parser.add_argument("--seed", type=int, default=0, help="of the first scene; the others follow (default 0)")
+    parser.add_argument("--planner", default="classical", help="who plans (default classical)")
+    parser.add_argument(
+        "--time-limit", type=float, metavar="S", help="for each plan, seconds; results then vary with the machine"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="flights side by side (default 1)")
+    parser.add_argument("--backend", default="loky", help=f"where they run: {', '.join(BACKENDS)} (default loky: processes)")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
+    parser.add_argument("--no-movie", action="store_true", help="make no GIF of a flight")
+    add_flight_options(parser)
+    return parser
+
+
+def add_flight_options(parser: argparse.ArgumentParser) -> None:
+    """Options that say how to fly, and whether to fly what is not certified."""
+    default = FlightSettings()
+    parser.add_argument("--vehicle", help=f"for all drones: {', '.join(VEHICLES)} (default: by mass or radius)")
+    parser.add_argument(
+        "--controller", default=default.controller, help=f"{' or '.join(CONTROLLERS)} (default {default.controller})"
+    )
+    parser.add_argument("--physics-hz", type=float, default=default.physics_hz, help=f"default {default.physics_hz:g}")
+    parser.add_argument(
+        "--service-radius", type=float, default=default.service_radius, metavar="M",
+        help=f"how near a drone must be to serve a task (default {default.service_radius:g})",
+    )  # fmt: skip
+    parser.add_argument("--no-drag", action="store_true", help="fly in empty space")
+    parser.add_argument("--downwash", action="store_true", help="let drones feel the air that others above them blow down")
+    parser.add_argument("--force", action="store_true", help="fly plans that are not certified too")
+
+
+def flight_settings(options: argparse.Namespace) -> FlightSettings:
+    """The settings that the options of `add_flight_options` stand for."""
+    return FlightSettings(
+        vehicle=options.vehicle, controller=options.controller, physics_hz=options.physics_hz,
+        service_radius=options.service_radius, has_drag=not options.no_drag, has_downwash=options.downwash,
+    )  # fmt: skip
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    trials = _trials(options)
+    with Journal(options.out, trials[0].terms()) as journal:
+        bar = ProgressBar(len(trials), sum(trial.key in journal for trial in trials))
+
+        def done(result: Result) -> None:
+            bar.advance(f"{result.key} {result.row['status']}")
+
+        run_batch(trials, journal, jobs=options.jobs, backend=options.backend, done=done, warn=bar.note)
+        bar.close()
+        journal.write_tables([trial.key for trial in trials])
+        results = [journal.results[trial.key] for trial in trials]
+    rows = [result.row for result in results]
+    heading = f"# Flights\n\n`python -m sim.evaluate {shlex.join(options.words)}`\n"
+    text = summary_text(heading, rows, [result.timing for result in results])
+    reading.write_whole(SettingsError, options.out / "summary.md", text)
+    draw_summary(rows, options.out / "summary.png")
+    if not options.no_movie:
+        _film(trials, results, options.out / "flight.gif")
+    print(text)
+    return 0 if all(flawless(row) for row in rows) else 1
+
+
+def _trials(options: argparse.Namespace) -> list[Trial]:
+    """The flights asked for, once nothing is wrong with what they share."""
+    scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
+    seed = reading.integer(SettingsError, "seed", options.seed, least=0)
+    options.jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
+    if options.planner not in planner_names():
+        rule = f"must be one of {', '.join(planner_names())}"
+        raise SettingsError("planner", f"is {options.planner!r}", rule, "choose one")
+    if options.backend not in BACKENDS:
+        raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
+    if options.time_limit is not None:
+        reading.number(SettingsError, "time-limit", options.time_limit, above=0.0)
+    first = Trial(
+        options.family, options.drones, options.tasks, seed, options.planner, options.time_limit, flight_settings(options),
+        options.force,
+    )  # fmt: skip
+    first.scene()  # a family or a size that cannot be is refused before anything runs
+    load_pybullet()
+    return [replace(first, seed=seed + offset) for offset in range(scenes)]
+
+
+def _film(trials: list[Trial], results: list[Result], path: Path) -> None:
+    """The first flight that was made, flown again for its movie."""
+    for trial, result in zip(trials, results, strict=True):
+        if result.row["contacts"] is not None:
+            scene = trial.scene()
+            made = plan(scene, planner=trial.planner, time_limit_s=trial.time_limit_s, seed=trial.seed)
+            save_movie(execute(scene, made, trial.settings, force=True), path)
+            return
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

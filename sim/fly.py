@@ -1,0 +1,69 @@
+"""Fly one plan and say what came of it.
+
+    python -m sim.fly SCENE PLAN [--gui] [--movie FILE.gif]
+
+Exit status 0 if every task was served and nothing touched, 1 if not, 2 on bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from flockopt import FlockError, Plan, Scene
+from sim.evaluate import add_flight_options, flight_settings
+from sim.execute import Execution, execute
+from sim.movie import save_movie
+
+__all__ = ["main"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line."""
+    options = _parser().parse_args(argv)
+    try:
+        scene, plan = Scene.load(options.scene), Plan.load(options.plan)
+        flight = execute(scene, plan, flight_settings(options), force=options.force, gui=options.gui)
+        if options.movie is not None:
+            save_movie(flight, options.movie)
+    except FlockError as fault:
+        print(f"sim.fly: {fault}", file=sys.stderr)
+        return 2
+    print(_account(flight))
+    return 0 if flight.outcome.completion == 1.0 and not flight.touches else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m sim.fly", description=__doc__.split("\n")[0])
+    parser.add_argument("scene", type=Path, help="scene file")
+    parser.add_argument("plan", type=Path, help="plan file for that scene")
+    parser.add_argument("--gui", action="store_true", help="watch it in PyBullet's window, in real time")
+    parser.add_argument("--movie", type=Path, metavar="FILE.gif", help="write it as an animated picture")
+    add_flight_options(parser)
+    return parser
+
+
+def _account(flight: Execution) -> str:
+    outcome = flight.outcome
+    lines = [
+        f"completion      {outcome.completion:.1%} ({len(outcome.served)} of {flight.scene.num_tasks} tasks)",
+        f"contacts        {len(flight.touches)}",
+        f"least clearance {_metres(outcome.min_clearance)}",
+        f"least distance  {_metres(outcome.min_separation)}",
+        f"tracking error  {1000.0 * outcome.mean_tracking_error:.1f} mm, {1000.0 * outcome.max_tracking_error:.1f} mm at most",
+        f"energy          {flight.energy.sum():.1f} J",
+        f"flown           {flight.times[-1]:.1f} s, {flight.real_time_factor:.0f} times faster than real time",
+    ]
+    lines += [f"missed          {task} by {metres:.3f} m" for task, metres in outcome.missed.items()]
+    lines += [f"contact         {touch.drone} with {touch.other} at {touch.time:.2f} s" for touch in flight.touches]
+    return "\n".join(lines)
+
+
+def _metres(value: float | None) -> str:
+    return "none to keep" if value is None else f"{value:.3f} m"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,125 @@
+"""The record of a batch: a line a flight, appended whole, so that a run that was killed goes on where it stopped."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import json
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from flockopt import reading
+from flockopt.errors import SettingsError
+from sim.trial import COLUMNS, TIMINGS, Result, Value
+
+__all__ = ["Journal", "table"]
+
+TERMS, ROWS, LOCK = "terms.json", "rows.jsonl", ".lock"
+
+
+class Journal:
+    """Results by key, kept in a folder that one run at a time may write to; to be used in a ``with`` statement.
+
+    Args:
+        folder: Where; made if it does not exist.
+        terms: What all flights of the batch share. A folder that holds flights on other terms is refused.
+
+    Raises:
+        SettingsError: If the folder cannot be used, is in use, or holds another batch.
+    """
+
+    def __init__(self, folder: Path, terms: dict[str, Any]) -> None:
+        self.folder = folder
+        self.results: dict[str, Result] = {}
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as fault:
+            value = f"{folder} cannot be used ({fault.strerror})"
+            raise SettingsError("out", value, "must be a folder to write to", "choose another") from None
+        try:
+            self._open(terms)
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def _open(self, terms: dict[str, Any]) -> None:
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            mend = "wait for it or choose another folder"
+            raise SettingsError("out", f"{self.folder} is in use", "one run at a time writes there", mend) from None
+        self._agree(json.loads(json.dumps(terms)))
+        self._read()
+        self._file = os.open(self.folder / ROWS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None) -> None:
+        os.close(self._file)
+        os.close(self._lock)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.results
+
+    def add(self, result: Result) -> None:
+        """Append a result, through to the disk; one that is there already changes nothing."""
+        if result.key in self.results:
+            return
+        line = json.dumps({"key": result.key, "row": dict(result.row), "timing": dict(result.timing)})
+        os.write(self._file, line.encode() + b"\n")
+        os.fsync(self._file)
+        self.results[result.key] = result
+
+    def _agree(self, terms: dict[str, Any]) -> None:
+        path = self.folder / TERMS
+        if not path.exists():
+            reading.write_whole(SettingsError, path, json.dumps(terms, indent=1) + "\n")
+            return
+        found = reading.read_json(SettingsError, path)
+        for name, value in terms.items():
+            if not isinstance(found, dict) or found.get(name) != value:
+                seen = f"{self.folder} holds flights with {name} {reading.shown(found.get(name))}"
+                raise SettingsError("out", seen, f"this run has {reading.shown(value)}", "choose another folder")
+
+    def _read(self) -> None:
+        """Read the lines that are whole; what a kill left of the last one is cut off."""
+        path = self.folder / ROWS
+        content = path.read_bytes() if path.exists() else b""
+        whole = content[: content.rfind(b"\n") + 1]
+        if len(whole) < len(content):
+            os.truncate(path, len(whole))
+        for number, line in enumerate(whole.decode().splitlines(), start=1):
+            record = reading.parse_json(SettingsError, line, f"{path} line {number}")
+            fields = reading.keys(SettingsError, record, ("key", "row", "timing"))
+            self.results.setdefault(fields["key"], Result(fields["key"], fields["row"], fields["timing"]))
+
+    def write_tables(self, keys: Sequence[str]) -> None:
+        """Write ``flights.csv`` and ``timings.csv``: the flights of these keys, in their order, whole or not at all."""
+        chosen = [self.results[key] for key in keys if key in self.results]
+        for name, columns, records in (
+            ("flights.csv", COLUMNS, [result.row for result in chosen]),
+            ("timings.csv", TIMINGS, [result.timing for result in chosen]),
+        ):
+            reading.write_whole(SettingsError, self.folder / name, table(columns, records))
+
+
+def table(columns: Sequence[str], records: Iterable[Any]) -> str:
+    """CSV text; numbers with nine significant digits, what is not known left empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for record in records:
+        writer.writerow([_cell(record.get(column)) for column in columns])
+    return text.getvalue()
+
+
+def _cell(value: Value) -> str:
+    if value is None:
+        return ""
+    return f"{value:.9g}" if isinstance(value, float) else str(value)

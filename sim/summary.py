@@ -1,0 +1,96 @@
+"""What a batch of flights amounts to: every measure of the paper, in Markdown and in a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flockopt.errors import MissingExtra
+
+__all__ = ["draw_summary", "flawless", "summary_text"]
+
+Rows = Sequence[Mapping[str, Any]]
+
+#: Measures of the paper and of the flight: words, column, factor, digits.
+MEASURES = (
+    ("planner coverage, %", "planner_coverage", 100.0, 2),
+    ("execution completion, %", "execution_completion", 100.0, 2),
+    ("planned route cost, m", "cost", 1.0, 2),
+    ("gap to the proven bound, %", "gap", 100.0, 3),
+    ("tasks per metre", "tasks_per_distance", 1.0, 4),
+    ("bundle compactness", "bundle_compactness", 1.0, 3),
+    ("mean insertion cost, m", "insertion_cost", 1.0, 2),
+    ("allocation episode steps", "episode_steps", 1.0, 2),
+    ("tasks per drone, standard deviation", "tasks_per_drone_std", 1.0, 3),
+    ("mean tracking error, mm", "mean_tracking_error", 1000.0, 2),
+    ("largest tracking error, mm", "max_tracking_error", 1000.0, 2),
+    ("least clearance, m", "min_clearance", 1.0, 3),
+    ("least separation, m", "min_separation", 1.0, 3),
+    ("makespan, s", "makespan", 1.0, 2),
+    ("energy of the rotors' shafts, J", "energy", 1.0, 1),
+)
+
+#: Times, in milliseconds.
+TIMES = (
+    ("allocation or generation", ("allocate_s", "generate_s")),
+    ("any-angle travel (the oracle)", ("travel_s",)),
+    ("decoding and deconfliction (the repair)", ("decode_s", "deconflict_s")),
+    ("whole plan, with bound and certificate", ("plan_s",)),
+    ("flight", ("flight_s",)),
+)
+
+
+def flawless(row: Mapping[str, Any]) -> bool:
+    """Whether a flight was certified, served every task and touched nothing."""
+    return row["status"] == "certified" and row["execution_completion"] == 1.0 and row["contacts"] == 0
+
+
+def summary_text(heading: str, rows: Rows, timings: Rows) -> str:
+    """The summary in Markdown: counts, measures, times, and every flight that was not flawless."""
+    contacts = sum(row["contacts"] or 0 for row in rows)
+    good = sum(flawless(row) for row in rows)
+    lines = [heading, f"{good} of {len(rows)} flights certified, complete and without contact; {contacts} contacts in all.", ""]
+    lines += ["| measure | mean | least | most |", "|---|---|---|---|"]
+    for words, column, factor, digits in MEASURES:
+        values = factor * np.array([row[column] for row in rows if row[column] is not None], dtype=np.float64)
+        cells = [f"{value:.{digits}f}" for value in (values.mean(), values.min(), values.max())] if len(values) else ["n/a"] * 3
+        lines.append(f"| {words} | " + " | ".join(cells) + " |")
+    lines += ["", "| time, ms | median | 95th percentile |", "|---|---|---|"]
+    for words, columns in TIMES:
+        times = [sum(row[column] or 0.0 for column in columns) for row in timings if row["plan_s"] is not None]
+        cells = [f"{1000.0 * float(np.quantile(times, q)):.1f}" for q in (0.5, 0.95)] if times else ["n/a"] * 2
+        lines.append(f"| {words} | " + " | ".join(cells) + " |")
+    faults = [f"- {row['scene']}: {_fault(row)}" for row in rows if not flawless(row)]
+    return "\n".join([*lines, "", *faults]).rstrip() + "\n"
+
+
+def _fault(row: Mapping[str, Any]) -> str:
+    if row["status"] != "certified":
+        return f"{row['status']} {row['failed']}".strip()
+    return f"{row['execution_completion']:.0%} of the tasks served, {row['contacts']} contacts"
+
+
+def draw_summary(rows: Rows, path: Path) -> None:
+    """Draw how the flights spread, a histogram a measure.
+
+    Raises:
+        MissingExtra: If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtra("matplotlib", "show") from None
+    chosen = [measure for measure in MEASURES if measure[1] not in ("episode_steps", "makespan", "energy")]
+    figure = Figure(figsize=(12, 8), layout="constrained")
+    for axes, (words, column, factor, _) in zip(figure.subplots(3, 4).flat, chosen, strict=True):
+        values = [factor * row[column] for row in rows if row[column] is not None]
+        axes.hist(values, bins=min(20, max(4, len(values) // 4)), color="#4878a8", edgecolor="white")
+        axes.set_title(words, fontsize=10)
+        axes.tick_params(labelsize=8)
+        axes.locator_params(axis="y", integer=True)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(f"{len(rows)} flights")
+    figure.savefig(path, dpi=120)
