@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from flockopt.geometry import FloatArray
+from flockopt.travel import Travel
 
-__all__ = ["Bound", "Bundles"]
+__all__ = ["Bound", "Bundles", "bundle_compactness", "insertion_cost", "tasks_per_drone_std"]
+
+Routes = Sequence[Sequence[int]]
 
 
 @dataclass(frozen=True)
@@ -61,3 +64,49 @@ class Bound:
     kind: str
     value: float
     dual: FloatArray
+
+
+def bundle_compactness(routes: Routes, positions: ArrayLike) -> float | None:
+    """How tightly bundles hold together: the paper's spread of co-assigned tasks, free of the scene's size.
+
+    It is the mean distance of tasks from the centroid of their bundle, over bundles of two tasks or more, divided by the
+    mean distance of all bundled tasks from their common centroid. (The paper names the measure and gives no formula.)
+
+    Args:
+        routes: Bundles of task indices.
+        positions: (M, 3) m, of the tasks.
+
+    Returns:
+        0 or more, about 1 for bundles drawn at random; None where no bundle has two tasks.
+    """
+    places = np.asarray(positions, dtype=np.float64)
+    shared = [places[list(route)] for route in routes if len(route) > 1]
+    if not shared:
+        return None
+    everything = np.concatenate([places[list(route)] for route in routes if len(route)])
+    spread = float(_distances_to_centroid(everything).mean())
+    return float(np.concatenate([_distances_to_centroid(bundle) for bundle in shared]).mean()) / spread if spread else None
+
+
+def _distances_to_centroid(points: FloatArray) -> FloatArray:
+    distances: FloatArray = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    return distances
+
+
+def insertion_cost(travel: Travel, routes: Routes) -> float | None:
+    """The paper's mean marginal insertion cost: what a task adds to its route, on average over all bundled tasks.
+
+    Returns:
+        Metres, the route's length less its length without the task; None without tasks.
+    """
+    added = [
+        travel.route_length(drone, route) - travel.route_length(drone, [*route[:rank], *route[rank + 1 :]])
+        for drone, route in enumerate(routes)
+        for rank in range(len(route))
+    ]
+    return float(np.mean(added)) if added else None
+
+
+def tasks_per_drone_std(routes: Routes) -> float:
+    """Standard deviation of the number of tasks over all drones, those without one included."""
+    return float(np.std([len(route) for route in routes]))
