@@ -1,8 +1,7 @@
 """Where shortest paths bend: points on the edges of obstacles grown by what a drone needs.
 
-A shortest path among convex obstacles is straight except where it wraps an edge. Every box and cylinder is
-enclosed in a prism whose footprint has `NUM_SIDES` sides tangent to the grown footprint; its vertical, top and
-bottom edges are sampled where they are free of every other obstacle. A sphere gets a net of single points.
+A shortest path among convex obstacles is straight except where it wraps an edge. The edges of `flockopt.edges` are
+sampled where they are free of every other obstacle, and a sphere gets a net of single points.
 """
 
 from __future__ import annotations
@@ -13,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from flockopt.geometry import BOX, SPHERE, FloatArray
+from flockopt.edges import feature_edges, room_for_row
+from flockopt.geometry import SPHERE, FloatArray
 from flockopt.kernels import point_distance, point_gradient
 from flockopt.nearness import Space
 
 __all__ = ["Features", "make_features", "unrestricted"]
 
-#: Sides of the polygon around a grown footprint: a multiple of four, so that a box keeps its faces.
-NUM_SIDES = 8
 #: Most samples on the inner part of one free stretch of an edge.
 MOST_SAMPLES = 3
 #: A stretch of edge gets one more sample for each of these fractions of the space's longest side.
@@ -47,7 +45,7 @@ class Features(NamedTuple):
 def make_features(space: Space) -> Features:
     """All features of a space, in the order of its obstacles."""
     spacing = SPACING_SHARE * float((space.upper - space.lower).max())
-    rows = _sample(space, _edges(space.table, space.needs), spacing)
+    rows = _sample(space, feature_edges(space), spacing)
     parts = [np.ascontiguousarray(rows[:, 3 * part : 3 * part + 3]) for part in range(4)]
     return Features(parts[0], parts[1], parts[2], parts[3], np.ascontiguousarray(rows[:, 12]), BEND_SLACK)
 
@@ -55,61 +53,6 @@ def make_features(space: Space) -> Features:
 def unrestricted(features: Features) -> Features:
     """The same features for any line through them and any bend at them."""
     return features._replace(slack=np.full(len(features.slack), np.inf), bend=np.inf)
-
-
-@njit(cache=True, error_model="numpy")
-def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: FloatArray) -> None:
-    """Fill the outward normals (S, 2) and the corners (S, 2) of the polygon; corner i joins sides i and i + 1."""
-    sides = normals.shape[0]
-    support = np.empty(sides)
-    for side in range(sides):
-        angle = 2.0 * math.pi * side / sides
-        u, v = math.cos(angle), math.sin(angle)
-        reach = row[4] * abs(u) + row[5] * abs(v) if row[0] == BOX else row[4]
-        support[side] = reach + need
-        normals[side, 0], normals[side, 1] = row[7] * u - row[8] * v, row[8] * u + row[7] * v
-    for side in range(sides):
-        after = (side + 1) % sides
-        a, b, c, d = normals[side, 0], normals[side, 1], normals[after, 0], normals[after, 1]
-        cross = a * d - b * c
-        corners[side, 0] = row[1] + (support[side] * d - support[after] * b) / cross
-        corners[side, 1] = row[2] + (support[after] * a - support[side] * c) / cross
-
-
-@njit(cache=True, error_model="numpy")
-def _edges(table: FloatArray, needs: FloatArray) -> FloatArray:
-    """Edges of the enclosing prisms, (E, 14): both ends, both normals, owner, and whether the ends are features."""
-    edges = np.empty((table.shape[0] * 3 * NUM_SIDES, 14))
-    normals, corners = np.empty((NUM_SIDES, 2)), np.empty((NUM_SIDES, 2))
-    count = 0
-    for k in range(table.shape[0]):
-        row = table[k]
-        if row[0] == SPHERE:
-            continue
-        _footprint(row, needs[k], normals, corners)
-        bottom, top = row[3] - row[6] - needs[k], row[3] + row[6] + needs[k]
-        for side in range(NUM_SIDES):
-            after = (side + 1) % NUM_SIDES
-            edge = edges[count]
-            edge[0:2], edge[2] = corners[side], bottom
-            edge[3:5], edge[5] = corners[side], top
-            edge[6:8], edge[8] = normals[side], 0.0
-            edge[9:11], edge[11] = normals[after], 0.0
-            edge[12], edge[13] = k, 1.0
-            count += 1
-            # the short sides that round a box's corners are covered by the ends of the vertical edges
-            if row[0] == BOX and side % (NUM_SIDES // 4) != 0:
-                continue
-            before = (side - 1) % NUM_SIDES
-            for level, up in ((bottom, -1.0), (top, 1.0)):
-                edge = edges[count]
-                edge[0:2], edge[2] = corners[before], level
-                edge[3:5], edge[5] = corners[side], level
-                edge[6:8], edge[8] = normals[side], 0.0
-                edge[9:11], edge[11] = 0.0, up
-                edge[12], edge[13] = k, 0.0
-                count += 1
-    return edges[:count]
 
 
 @njit(cache=True, error_model="numpy")
@@ -200,18 +143,6 @@ def _sphere_net(row: FloatArray, need: float, net: FloatArray) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _append(rows: FloatArray, count: int) -> FloatArray:
-    """Room for one more row."""
-    if count < rows.shape[0]:
-        return rows
-    wider = np.empty((2 * rows.shape[0], rows.shape[1]))
-    for row in range(count):
-        for column in range(rows.shape[1]):
-            wider[row, column] = rows[row, column]
-    return wider
-
-
-@njit(cache=True, error_model="numpy")
 def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
     """Features on the free stretches of the edges and around spheres, (F, 13): see `Features` for the columns."""
     table, needs, reach, lower, upper = space
@@ -249,7 +180,7 @@ def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
                         continue
                     if sample == inner and stop == last and (last < 1.0 or edge[13] == 0.0):
                         continue
-                    rows = _append(rows, count)
+                    rows = room_for_row(rows, count)
                     for axis in range(3):
                         rows[count, axis] = p[axis] + share * (q[axis] - p[axis])
                         rows[count, 9 + axis] = (q[axis] - p[axis]) / length
@@ -265,7 +196,7 @@ def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
             continue
         away = (table[k, 4] + needs[k]) / math.cos(math.pi / 8.0)
         for sample in range(_sphere_net(table[k], needs[k], net)):
-            rows = _append(rows, count)
+            rows = room_for_row(rows, count)
             rows[count] = 0.0
             usable = True
             for axis in range(3):

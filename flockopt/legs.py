@@ -113,7 +113,7 @@ def merge(drawn: Drawn, extra: Drawn) -> Drawn:
     begin, count, bends, along = drawn.begin.copy(), drawn.count.copy(), [drawn.bends], [drawn.along]
     leg_of = {(int(i), int(j)): leg for leg, (i, j) in enumerate(drawn.pairs)}
     used = len(drawn.bends)
-    for index in np.flatnonzero(~extra.missing):
+    for index in map(int, np.flatnonzero(~extra.missing)):
         i, j = (int(end) for end in extra.pairs[index])
         leg, rows = leg_of[min(i, j), max(i, j)], extra.rows(index, backwards=i > j)
         begin[leg], count[leg] = used, len(rows)

@@ -117,6 +117,43 @@ def test_a_path_around_a_sphere_has_the_length_of_tangents_and_arc():
     assert shortest <= length <= 1.01 * shortest
 
 
+@pytest.mark.parametrize("width", [0.001, 0.05, 0.2])
+@pytest.mark.parametrize("turn", [0.0, 0.3, 0.7])
+def test_the_one_narrow_gap_in_a_ring_of_cylinders_is_found(width, turn):
+    ring, radius = 4.0, 0.7
+    half = math.asin((2 * (radius + NEED) + width) / 2 / ring)
+    angles = [turn + half, turn - half, *np.linspace(turn + half, turn - half + 2 * math.pi, 26)[1:-1]]
+    pillars = [
+        Cylinder(f"c{k}", (10 + ring * math.cos(angle), 10 + ring * math.sin(angle), 2.5), radius, 5.0)
+        for k, angle in enumerate(angles)
+    ]
+    outside = (10 + 8 * math.cos(turn + 1), 10 + 8 * math.sin(turn + 1), 2.5)
+    table = obstacle_table(pillars)
+    length, path = Roadmap(table, np.full(len(table), NEED), [BOUNDS.lower, BOUNDS.upper]).path((10, 10, 2.5), outside)
+    assert length <= 11.3
+    assert segment_distances(table, path[:-1], path[1:]).min() >= NEED - 1e-9
+
+
+def test_a_ring_without_a_gap_has_no_way():
+    pillars = [
+        Cylinder(f"c{k}", (10 + 4 * math.cos(angle), 10 + 4 * math.sin(angle), 2.5), 0.7, 5.0)
+        for k, angle in enumerate(np.linspace(0, 2 * math.pi, 24))
+    ]
+    roadmap = Roadmap(obstacle_table(pillars), np.full(24, NEED), [BOUNDS.lower, BOUNDS.upper])
+    length, path = roadmap.path((10, 10, 2), (1, 1, 2))
+    assert math.isinf(length) and path.shape == (0, 3)
+
+
+def test_a_low_ring_is_left_over_its_top():
+    pillars = [
+        Cylinder(f"c{k}", (10 + 4 * math.cos(angle), 10 + 4 * math.sin(angle), 1.5), 0.7, 3.0)
+        for k, angle in enumerate(np.linspace(0, 2 * math.pi, 24))
+    ]
+    roadmap = Roadmap(obstacle_table(pillars), np.full(24, NEED), [BOUNDS.lower, BOUNDS.upper])
+    length, path = roadmap.path((10, 10, 1), (1, 10, 1))
+    assert math.isfinite(length) and path[:, 2].max() > 3.0
+
+
 def test_a_walled_in_task_is_infinitely_far_and_named():
     walls = [
         Box("north", (10, 12, 2.5), (5, 1, 5)), Box("south", (10, 8, 2.5), (5, 1, 5)),
