@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from flockopt.geometry import BOX, CYLINDER, FloatArray
 
-__all__ = ["point_distance", "point_gradient", "segment_clear", "segment_distance", "segment_distances"]
+__all__ = ["point_distance", "point_gradient", "polyline_clear", "segment_clear", "segment_distance", "segment_distances"]
 
 #: A segment's least distance is found to this many metres.
 SEGMENT_TOLERANCE_M = 1e-9
@@ -137,6 +137,15 @@ def segment_clear(table: FloatArray, boxes: FloatArray, needs: FloatArray, p: Fl
         if segment_distance(table[k], p, q, needs[k], needs[k] - 1e-12) < needs[k] - SEGMENT_TOLERANCE_M:
             return False
     return True
+
+
+@njit(cache=True)
+def polyline_clear(table: FloatArray, boxes: FloatArray, needs: FloatArray, points: FloatArray) -> bool:
+    """Whether every segment of a polyline (V, 3) is clear; the other arguments are as in `segment_clear`."""
+    clear = True
+    for i in range(points.shape[0] - 1):
+        clear = clear and segment_clear(table, boxes, needs, points[i], points[i + 1])
+    return clear
 
 
 @njit(cache=True)

@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit
 
 from flockopt.geometry import FloatArray
-from flockopt.kernels import point_distance, point_gradient
+from flockopt.kernels import point_distance, point_gradient, polyline_clear
 from flockopt.scene import Scene
 from flockopt.trajectory.room import Room
-from flockopt.trajectory.waypoints import Waypoints, anchored_legs, leg_clear, waypoints_from_paths
+from flockopt.trajectory.waypoints import CHORD_TOLERANCE, Waypoints, anchored_legs, leg_clear, thinned, waypoints_from_paths
 from flockopt.travel import END, START, Travel
 
 __all__ = ["corrected", "corrected_samples", "densified"]
@@ -78,23 +78,50 @@ def densified(control: FloatArray) -> FloatArray:
     return result
 
 
-def corrected_samples(scene: Scene, travel: Travel, drone: int, route: Sequence[int], samples: FloatArray) -> Waypoints:
-    """Waypoints through all of one drone's samples (T, 3), corrected; start, tasks and end are exact anchors.
+@njit(cache=True)
+def _corrected_leg(
+    leg: FloatArray, table: FloatArray, boxes: FloatArray, needs: FloatArray, lower: FloatArray, upper: FloatArray,
+    inflation: float,
+) -> tuple[FloatArray, bool]:  # fmt: skip
+    """A leg's samples moved out of inflated obstacles, closer ones if that is not enough; and whether it is clear."""
+    moved = _push_out(leg, table, boxes, needs, lower, upper, inflation)
+    clear = polyline_clear(table, boxes, needs, moved)
+    for _ in range(HALVINGS):
+        if not clear:
+            closer = np.empty((2 * len(moved) - 1, 3))
+            closer[::2] = moved
+            closer[1::2] = (moved[:-1] + moved[1:]) / 2
+            moved = _push_out(closer, table, boxes, needs, lower, upper, inflation)
+            clear = polyline_clear(table, boxes, needs, moved)
+    for point in moved:
+        for axis in range(3):
+            clear = clear and lower[axis] <= point[axis] <= upper[axis]
+    return moved, clear
 
-    Unlike `waypoints_from_samples` it drops no samples: control points at even distances make even progress along
-    a Catmull-Rom curve. Where a leg through the corrected samples is blocked, the any-angle path takes its place.
+
+def corrected_samples(scene: Scene, travel: Travel, drone: int, route: Sequence[int], samples: FloatArray) -> Waypoints:
+    """Waypoints through one drone's samples (T, 3), corrected; start, tasks and end are exact anchors.
+
+    Samples are moved out of obstacles first, and thinned as in `waypoints_from_samples` after: a law of progress that
+    depends on nothing but the curve takes every little bend of many control points at speed, and pays for it. Where a
+    leg through the corrected samples is blocked, the any-angle path takes its place.
     """
-    detour = waypoints_from_paths(scene, travel, drone, route)
-    if not detour.moves:
-        return detour
+    raw = anchored_legs(scene, drone, route, samples)
+    anchors = np.array([scene.starts[drone]] + [leg[-1] for leg in raw])
+    if (anchors == anchors[0]).all():
+        return waypoints_from_paths(scene, travel, drone, route)
     record = scene.drones[drone]
-    room = Room.around(scene, record, detour)
-    stops = [START, *route] + ([END] if record.end_point is not None else [])
+    needs = np.full(len(scene.obstacles), record.radius + scene.clearance)
+    detours = [START, *route] + ([END] if record.end_point is not None else [])
+    space = scene.obstacle_table, scene.obstacle_boxes, needs, np.array(scene.bounds.lower), np.array(scene.bounds.upper)
     legs = []
-    for index, leg in enumerate(anchored_legs(scene, drone, route, samples)):
-        moved = corrected(leg, room, record.radius)
-        for _ in range(HALVINGS):
-            if not leg_clear(scene, drone, moved):
-                moved = corrected(densified(moved), room, record.radius)
-        legs.append(moved if leg_clear(scene, drone, moved) else travel.path(drone, stops[index], stops[index + 1]))
+    for leg, *stops in zip(raw, detours[:-1], detours[1:], strict=True):
+        moved, clear = _corrected_leg(leg, *space, INFLATION * record.radius)
+        if clear:
+            few = thinned(moved, CHORD_TOLERANCE * record.radius)
+            legs.append(few if leg_clear(scene, drone, few) else moved)
+        elif len(detour := travel.path(drone, *stops)):
+            legs.append(detour)
+        else:
+            return waypoints_from_paths(scene, travel, drone, route)  # which says that there is no way
     return Waypoints.join(scene, route, legs)

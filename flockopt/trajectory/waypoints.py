@@ -21,7 +21,8 @@ from flockopt.scene import Scene
 from flockopt.travel import END, START, Travel
 
 __all__ = [
-    "FLY_THROUGH", "Waypoints", "anchored_legs", "check_samples", "leg_clear", "waypoints_from_paths", "waypoints_from_samples",
+    "FLY_THROUGH", "Waypoints", "anchored_legs", "check_samples", "leg_clear", "thinned", "waypoints_from_paths",
+    "waypoints_from_samples",
 ]  # fmt: skip
 
 #: The value of `Waypoints.rest_s` that asks for no stop.
@@ -132,7 +133,7 @@ def waypoints_from_samples(scene: Scene, travel: Travel, drone: int, route: Sequ
     tolerance = CHORD_TOLERANCE * scene.drones[drone].radius
     legs = []
     for index, raw in enumerate(anchored_legs(scene, drone, route, samples)):
-        leg = _thinned(raw, tolerance)
+        leg = thinned(raw, tolerance)
         legs.append(leg if leg_clear(scene, drone, leg) else travel.path(drone, stops[index], stops[index + 1]))
     return Waypoints.join(scene, route, legs)
 
@@ -171,7 +172,7 @@ def _ordered_matches(anchors: FloatArray, samples: FloatArray) -> list[int]:
     return places[::-1]
 
 
-def _thinned(points: FloatArray, tolerance: float) -> FloatArray:
+def thinned(points: FloatArray, tolerance: float) -> FloatArray:
     """The polyline without points closer than ``tolerance`` to it (Ramer 1972, Douglas and Peucker 1973)."""
     if len(points) < 3:
         return points
@@ -182,16 +183,15 @@ def _thinned(points: FloatArray, tolerance: float) -> FloatArray:
     worst = int(gaps.argmax())
     if gaps[worst] <= tolerance:
         return points[[0, -1]]
-    head, tail = _thinned(points[: worst + 2], tolerance), _thinned(points[worst + 1 :], tolerance)
+    head, tail = thinned(points[: worst + 2], tolerance), thinned(points[worst + 1 :], tolerance)
     return np.vstack([head[:-1], tail])
 
 
 def leg_clear(scene: Scene, drone: int, leg: FloatArray) -> bool:
     """Whether a polyline (V, 3) stays within bounds and as far from all obstacles as the drone must."""
-    from flockopt.kernels import segment_clear
+    from flockopt.kernels import polyline_clear
 
     if (leg < scene.bounds.lower).any() or (leg > scene.bounds.upper).any():
         return False
-    table = scene.obstacle_table
-    needs = np.full(len(table), scene.drones[drone].radius + scene.clearance)
-    return all(segment_clear(table, scene.obstacle_boxes, needs, a, b) for a, b in pairwise(leg))
+    needs = np.full(len(scene.obstacles), scene.drones[drone].radius + scene.clearance)
+    return bool(polyline_clear(scene.obstacle_table, scene.obstacle_boxes, needs, np.ascontiguousarray(leg)))
