@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from flockopt.show import show
     from flockopt.trajectory.decode import decode
     from flockopt.trajectory.deconflict import deconflict
+    from flockopt.trajectory.smooth import smooth
     from flockopt.travel import Travel, compute_travel
 
     __version__: str
@@ -34,7 +35,7 @@ __all__ = [
     "Bound", "Bounds", "Box", "Bundles", "Changes", "Curve", "Cylinder", "Drone", "Export", "Flight", "FlockError",
     "MissingExtra", "Origin", "Plan", "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task",
     "Travel", "Visit", "__version__", "certify", "compute_travel", "decode", "deconflict", "export", "generate",
-    "lower_bound", "plan", "refine_bundles", "replan", "show",
+    "lower_bound", "plan", "refine_bundles", "replan", "show", "smooth",
 ]  # fmt: skip
 
 #: Which module defines each public name.
@@ -54,6 +55,7 @@ _HOMES = {
     "flockopt.show": ("show",),
     "flockopt.trajectory.decode": ("decode",),
     "flockopt.trajectory.deconflict": ("deconflict",),
+    "flockopt.trajectory.smooth": ("smooth",),
     "flockopt.travel": ("Travel", "compute_travel"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
