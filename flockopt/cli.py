@@ -102,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
         "--bound", default="tight", metavar="KIND", choices=("fast", "tight", "exact"),
         help="how hard to work for the lower bound: fast, tight or exact (default: tight)",
     )  # fmt: skip
+    plan.add_argument("--smooth", action="store_true", help="smooth the flights: done earlier, with less jerk (needs casadi)")
     plan.add_argument("--show", action="append", default=[], metavar="FILE", help="draw it too: .png or .html; repeatable")
     plan.add_argument("--quiet", action="store_true", help="print no table and no progress")
 

@@ -35,6 +35,7 @@ def plan(options: argparse.Namespace) -> int:
             time_limit_s=options.time_limit,
             seed=options.seed,
             bound=options.bound,
+            smoothing=options.smooth,
             progress=progress,
         )
         result.save(options.output)
