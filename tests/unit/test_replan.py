@@ -70,7 +70,7 @@ def test_what_no_capacity_is_left_for_is_named():
     answer = replan(scene, old, 1.0, Changes(lost=("d1",)))
     assert answer.plan.status == "certified"
     assert served(answer) == {"t0"}
-    assert "1 too little" in answer.unserved["t1"]
+    assert "the fleet is full" in answer.unserved["t1"]
 
 
 def test_drones_whose_route_stays_keep_their_curve(flying):
