@@ -1,9 +1,9 @@
 """From bundles to flights: each drone through its tasks, smooth, within limits and clear of obstacles.
 
-The closed form of `flockopt.trajectory.blend` flies a drone's waypoints without stopping. Passing exactly through
-a waypoint swings the curve a little to its outside; where that leaves the free space, the curve is mended there:
-slower legs swing less, and a drone that stops at a waypoint does not swing at all, so that the worst case is the
-polyline itself, which is clear.
+`LAWS` says by which law. The closed form of `flockopt.trajectory.blend` flies a drone's waypoints without stopping;
+where passing exactly through a waypoint swings the curve out of the free space, it is mended there
+(`flockopt.trajectory.trial`). `flockopt.trajectory.timing` does the same by profiles from ruckig, and
+`flockopt.trajectory.quintic` is the decoder of the paper, which stops at every anchor.
 """
 
 from __future__ import annotations
@@ -57,7 +57,9 @@ def decode(
         allow it at all (the judge has the last word). Drones may still meet each other: see `deconflict`.
 
     Raises:
-        SettingsError: On an unknown law, bundles for another fleet, or samples of a wrong shape or with a NaN.
+        SettingsError: On an unknown law, one that starts from rest for a drone in motion, bundles for another fleet,
+            or samples of a wrong shape or with a NaN.
+        MissingExtra: If the law is "ruckig" and ruckig is not installed.
     """
     chosen = _chosen_law(scene, law)
     if len(bundles) != scene.num_drones:
