@@ -20,7 +20,7 @@ from time import perf_counter
 import numpy as np
 
 from benchmarks.report import Rows, header, markdown_table, spread, write_summary
-from flockopt import Bundles, FlockError, Scene, compute_travel, generate, refine_bundles
+from flockopt import Bundles, FlockError, Scene, compute_travel, generate, refine_bundles, smooth
 from flockopt.bernstein import control_points, largest_norm
 from flockopt.continuous import least_clearance, least_separation, parked
 from flockopt.curve import Curve, Flight
@@ -41,11 +41,16 @@ def _law(name: str) -> Maker:
     return lambda scene, bundles, travel: decoding.decode(scene, bundles, travel=travel, law=name)
 
 
-#: What is compared, by name; everything else here works for any maker of flights.
-LAWS: dict[str, Maker] = {name: _law(name) for name in decoding.LAWS}
+def _smoothed(scene: Scene, bundles: Bundles, travel: Travel) -> dict[str, Flight]:
+    """Fly-through, then smoothed with CasADi; both count for the time."""
+    return smooth(scene, decoding.decode(scene, bundles, travel=travel, law=REFERENCE))
+
 
 #: What the others are compared with.
 REFERENCE = "fly-through"
+
+#: What is compared, by name; everything else here works for any maker of flights.
+LAWS: dict[str, Maker] = {name: _law(name) for name in decoding.LAWS} | {"smooth": _smoothed}
 
 COLUMNS = (
     "scene", "family", "seed", "law", "status", "failed", "makespan", "bound", "ratio", "drone_ratio", "length",
