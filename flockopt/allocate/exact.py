@@ -112,12 +112,12 @@ def solve_exact(
 def _first_allocation(
     scene: Scene, travel: Travel, warm_start: Bundles | None, time_limit_s: float | None, seed: int
 ) -> Bundles:
-    """What a short search finds."""
+    """What a short search finds; only its construction where there is no time."""
     routes = search(
         build_problem(scene, travel),
         warm_start=() if warm_start is None else warm_start.routes,
-        iterations=default_iterations(scene.num_tasks),
-        time_limit_s=None if time_limit_s is None else SEARCH_SHARE * time_limit_s,
+        iterations=default_iterations(scene.num_tasks) if time_limit_s != 0.0 else 0,
+        time_limit_s=SEARCH_SHARE * time_limit_s if time_limit_s else None,
         seed=seed,
     )
     return explained(scene, travel, routes)

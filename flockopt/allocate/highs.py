@@ -61,6 +61,8 @@ class Program:
         self._api: Any = highspy
         self._highs = highspy.Highs()
         self._highs.setOptionValue("output_flag", False)
+        # Presolve of HiGHS 1.14 has claimed an optimum that broke a row; a proof cannot stand on that.
+        self._highs.setOptionValue("presolve", "off")
         model = highspy.HighsLp()
         model.num_col_, model.num_row_ = len(costs), len(lower)
         model.col_cost_, model.col_lower_, model.col_upper_ = costs, np.zeros(len(costs)), np.ones(len(costs))

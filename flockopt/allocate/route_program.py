@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from flockopt.allocate.cuts import Cuts, no_cuts, violated_cuts
 from flockopt.allocate.enumeration import Pool
 from flockopt.allocate.highs import Program, Solution
+from flockopt.errors import SolverFailed
 from flockopt.geometry import FloatArray
 
 __all__ = ["Choice", "Fleet", "choose_routes"]
@@ -87,6 +88,7 @@ def choose_routes(pool: Pool, fleet: Fleet, prices: FloatArray, least_slack: flo
             return Choice(min(relaxation.bound, upper), best)
         used = np.flatnonzero(shares > INTEGRALITY)
         if (shares[used] > 1.0 - INTEGRALITY).all():
+            _check_choice(pool.take(used), fleet)
             return Choice(relaxation.bound, used)
         order = np.argsort(relaxation.slacks, kind="stable")
         needed = order[: np.searchsorted(relaxation.slacks[order], upper - relaxation.bound, side="right")]
@@ -96,6 +98,7 @@ def choose_routes(pool: Pool, fleet: Fleet, prices: FloatArray, least_slack: flo
         solution = relaxation.integer_program(needed[:most]).solve_integer(upper, deadline - time.monotonic())
         if solution.values is not None:
             chosen = needed[:most][solution.values > 0.5]
+            _check_choice(pool.take(chosen), fleet)
             if pool.costs[chosen].sum() < upper:
                 best, upper = chosen, float(pool.costs[chosen].sum())
         if solution.status == "stopped":
@@ -104,6 +107,14 @@ def choose_routes(pool: Pool, fleet: Fleet, prices: FloatArray, least_slack: flo
             return Choice(upper, best)
         relaxation.require_one(np.setdiff1d(order, needed[:most]))
         most, rounds = int(BRANCHED_GROWTH * most), 0
+
+
+def _check_choice(routes: Pool, fleet: Fleet) -> None:
+    """Raise a `SolverFailed` unless these routes serve every task once and every drone flies one at most."""
+    served = np.bincount(routes.tasks[routes.tasks >= 0], minlength=len(fleet.demands))
+    flown = np.bincount(routes.drones, minlength=len(fleet.capacities))
+    if (served != 1).any() or (flown > 1).any() or (flown[fleet.must_fly] < 1).any():
+        raise SolverFailed("HiGHS", "its choice of routes leaves a task out, or serves or flies something twice")
 
 
 class _Relaxation:

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.optimality_gap import uniform_scene
 from flockopt.allocate.bounds import lower_bound
 from flockopt.allocate.exact import solve_exact
 from flockopt.proof import recompute_bound
@@ -44,6 +45,13 @@ def test_both_exact_methods_find_the_same_optimum(seed):
         assert result.status == "optimal"
         assert travel.total(result.bundles.routes) == pytest.approx(expected, abs=ROUNDING_M)
         assert recompute_bound(scene, travel, result.bound) <= expected + ROUNDING_M
+
+
+def test_a_fleet_that_presolve_got_wrong():
+    """Frozen: HiGHS 1.14's presolve claimed 96.0 m here; its own check then failed the run."""
+    scene = uniform_scene(10, 40, 82)
+    result = solve_exact(scene, straight_travel(scene))
+    assert result.status == "optimal" and result.proven == pytest.approx(99.97758791683759, rel=1e-9)
 
 
 def test_some_of_the_instances_are_infeasible():

@@ -3,6 +3,7 @@
 import itertools
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -180,6 +181,20 @@ def test_too_few_routes_for_a_load_break_a_capacity_cut():
     assert (found.lower == 2.0).any()
     whole = violated_cuts(np.array([[0, 1], [2, -1]]), np.arange(2), np.ones(2), np.ones(3), np.full(3, 2.0), 10)
     assert len(whole.lower) == 0
+
+
+def test_a_solver_whose_choice_breaks_a_rule_is_not_believed(monkeypatch):
+    scene, travel = instance(seed=2)
+    honest = Program.solve_linear
+
+    def liar(program, time_limit_s):
+        solution = honest(program, time_limit_s)
+        return replace(solution, values=None if solution.values is None else np.zeros_like(solution.values))
+
+    monkeypatch.setattr(Program, "solve_linear", liar)
+    monkeypatch.setattr(exact, "search", lambda *_, **__: ((),) * scene.num_drones)
+    with pytest.raises(SolverFailed, match="leaves a task out"):
+        solve_exact(scene, travel)
 
 
 def test_the_result_does_not_depend_on_the_seed():
