@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import pkgutil
 import re
 from collections.abc import Callable
 from functools import partial
@@ -55,8 +55,7 @@ def allocator(name: str) -> Allocator:
         SettingsError: If there is none of this name.
     """
     if ":" in name:
-        module, _, function = name.partition(":")
-        return getattr(importlib.import_module(module), function)
+        return pkgutil.resolve_name(name)
     parts = re.fullmatch(r"([a-z]+)(?:-([0-9.]+)(ms|s))?", name)
     if parts is None or parts[1] not in ALLOCATORS:
         rule = f"must be one of {', '.join(ALLOCATORS)}, with a time such as -20ms or not, or module:function"
