@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flockopt.allocate.explain import LENGTH_TOLERANCE_M
+from flockopt.allocate.request import RouteTuple
 from flockopt.allocate.search_moves import fits_length
-from flockopt.allocate.search_state import NUM_WAITING, UNSERVED, IntArray, Problem, Routes, compiled, insertion_cost, link
+from flockopt.allocate.search_state import (
+    NUM_WAITING,
+    UNSERVED,
+    IntArray,
+    Problem,
+    Routes,
+    collect_waiting,
+    compiled,
+    insertion_cost,
+    link,
+)
 from flockopt.geometry import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -97,22 +109,23 @@ def _nearest(matrix: FloatArray, nearest: IntArray, skip_self: bool) -> None:
             nearest[row, place] = column
 
 
-def insert_routes(problem: Problem, routes: Routes, given: tuple[tuple[int, ...], ...]) -> None:
+def insert_routes(problem: Problem, routes: Routes, given: RouteTuple) -> None:
     """Serve tasks in the given order as far as capacities and reach allow; the others go on waiting."""
-    for drone, tasks in enumerate(given):
-        last = len(problem.demand) + drone
-        for task in tasks:
-            cost = insertion_cost(problem, routes, task, last)
-            if problem.demand[task] <= routes.room[drone] and fits_length(problem, routes, drone, cost):
-                link(problem, routes, task, last)
-                last = task
-    _collect_waiting(problem, routes)
+    tasks = np.array([task for route in given for task in route], dtype=np.int64)
+    drones = np.repeat(np.arange(len(given)), [len(route) for route in given])
+    _insert_in_order(problem, routes, tasks, drones)
 
 
-def _collect_waiting(problem: Problem, routes: Routes) -> None:
-    waiting = np.flatnonzero(routes.route[: len(problem.demand)] == UNSERVED)
-    routes.waiting[: len(waiting)] = waiting
-    routes.counters[NUM_WAITING] = len(waiting)
+@compiled
+def _insert_in_order(problem: Problem, routes: Routes, tasks: NDArray[np.int64], drones: NDArray[np.int64]) -> None:
+    num_tasks = len(problem.demand)
+    for place in range(len(tasks)):
+        task, drone = tasks[place], drones[place]
+        last = np.int64(routes.before[num_tasks + drone])
+        cost = insertion_cost(problem, routes, task, last)
+        if problem.demand[task] <= routes.room[drone] and fits_length(problem, routes, drone, cost):
+            link(problem, routes, task, last)
+    collect_waiting(problem, routes)
 
 
 def insert_by_regret(problem: Problem, routes: Routes, preference: FloatArray) -> None:
@@ -136,7 +149,7 @@ def _insert_by_regret(
 ) -> None:  # fmt: skip
     count = routes.counters[NUM_WAITING]
     for entry in range(count):
-        task = routes.waiting[entry]
+        task = np.int64(routes.waiting[entry])
         for drone in range(len(problem.capacity)):
             _price(problem, routes, preference, price, place, task, drone)
         _rank(price, best, second, task)
@@ -151,16 +164,16 @@ def _insert_by_regret(
                 chosen, most_regret, least_price = entry, regret, cheapest
         if chosen < 0:
             break
-        task = routes.waiting[chosen]
-        drone = best[task]
-        link(problem, routes, task, place[task, drone])
+        task = np.int64(routes.waiting[chosen])
+        taker = np.int64(best[task])
+        link(problem, routes, task, np.int64(place[task, taker]))
         left -= 1
         routes.waiting[chosen] = routes.waiting[left]
         for entry in range(left):
-            other = routes.waiting[entry]
-            _price(problem, routes, preference, price, place, other, drone)
-            changed = best[other] == drone or second[other] == drone
-            if changed or second[other] == UNSERVED or price[other, drone] < price[other, second[other]]:
+            other = np.int64(routes.waiting[entry])
+            _price(problem, routes, preference, price, place, other, taker)
+            changed = best[other] == taker or second[other] == taker
+            if changed or second[other] == UNSERVED or price[other, taker] < price[other, second[other]]:
                 _rank(price, best, second, other)
     routes.counters[NUM_WAITING] = left
 

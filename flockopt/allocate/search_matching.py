@@ -153,7 +153,7 @@ def match_tails(problem: Problem, routes: Routes, matching: Matching) -> float:
     for row in range(count):
         before += _legs(problem, matching, row, row)
         for column in range(count):
-            _price(problem, routes, matching, row, column)
+            _price_tail(problem, routes, matching, row, column)
     _match(matching, count)
     after = 0.0
     for column in range(count):
@@ -178,7 +178,7 @@ def _cut(problem: Problem, routes: Routes, matching: Matching, part: int, is_who
     num_tasks, drone, head = len(problem.demand), matching.drone[part], matching.head[part]
     if is_whole:
         head = num_tasks + drone
-    elif head < num_tasks and random_index(routes.random, 2) == 0:
+    elif head < num_tasks and random_index(routes.random, np.int64(2)) == 0:
         head = routes.before[head]
     matching.head[part], matching.first[part], matching.last[part] = head, routes.after[head], routes.before[num_tasks + drone]
     kind, node = problem.drone_class[drone], routes.after[head]
@@ -212,7 +212,7 @@ def _turned_legs(problem: Problem, matching: Matching, row: int, column: int) ->
 
 
 @compiled
-def _price(problem: Problem, routes: Routes, matching: Matching, row: int, column: int) -> None:
+def _price_tail(problem: Problem, routes: Routes, matching: Matching, row: int, column: int) -> None:
     """Note what it costs to give the tail of ``column`` to the head of ``row``."""
     drone = matching.drone[row]
     legs = min(_legs(problem, matching, row, column), _turned_legs(problem, matching, row, column))

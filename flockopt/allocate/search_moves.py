@@ -88,7 +88,7 @@ def _take_string(problem: Problem, routes: Routes, task: int, longest: float) ->
     for place in range(span):
         following = routes.after[node]
         if place < first_kept or place >= first_kept + kept:
-            cost += unlink(problem, routes, node)
+            cost += unlink(problem, routes, np.int64(node))
             routes.waiting[routes.counters[NUM_WAITING]] = node
             routes.counters[NUM_WAITING] += 1
         node = following
@@ -114,7 +114,8 @@ def recreate(problem: Problem, routes: Routes, num_waited: int, blink_share: flo
     _sort_for_recreation(problem, routes, tried)
     cost = 0.0
     routes.counters[NUM_WAITING] = first
-    for task in tried:
+    for place in range(len(tried)):
+        task = np.int64(tried[place])
         previous, added = best_place(problem, routes, task, blink_share)
         if previous == UNSERVED:
             routes.waiting[routes.counters[NUM_WAITING]] = task
@@ -128,7 +129,7 @@ def recreate(problem: Problem, routes: Routes, num_waited: int, blink_share: flo
 @compiled
 def _sort_for_recreation(problem: Problem, routes: Routes, tasks: NDArray[np.uint32]) -> None:
     """Sort in place: at random, heaviest first, farthest first or nearest first (weights 4, 4, 2, 1 from the paper)."""
-    kind = random_index(routes.random, 11)
+    kind = random_index(routes.random, np.int64(11))
     for place in range(len(tasks)):
         task = tasks[place]
         key = random_unit(routes.random)

@@ -20,6 +20,7 @@ __all__ = [
     "Problem",
     "Routes",
     "adopt",
+    "collect_waiting",
     "commit",
     "compiled",
     "empty_routes",
@@ -181,7 +182,7 @@ def _link(problem: Problem, routes: Routes, task: int, previous: int) -> float:
     routes.route[task] = drone
     routes.room[drone] -= problem.demand[task]
     routes.length[drone] += cost
-    resize(problem, routes, drone, 1)
+    resize(problem, routes, drone, np.int64(1))
     return cost
 
 
@@ -191,8 +192,8 @@ def _unlink(problem: Problem, routes: Routes, task: int) -> float:
     routes.after[previous], routes.before[following] = following, previous
     routes.route[task] = UNSERVED
     routes.room[drone] += problem.demand[task]
-    resize(problem, routes, drone, -1)
-    cost = insertion_cost(problem, routes, task, previous)
+    resize(problem, routes, drone, np.int64(-1))
+    cost = insertion_cost(problem, routes, task, np.int64(previous))
     routes.length[drone] -= cost
     return -cost
 
@@ -228,7 +229,7 @@ def commit(routes: Routes) -> None:
 def undo(problem: Problem, routes: Routes) -> None:
     """Take back the changes since the last commit, last one first."""
     for entry in range(routes.counters[NUM_LOGGED] - 1, -1, -1):
-        task, previous = routes.log_task[entry], routes.log_previous[entry]
+        task, previous = np.int64(routes.log_task[entry]), np.int64(routes.log_previous[entry])
         if previous == UNSERVED:
             _unlink(problem, routes, task)
         else:
@@ -265,14 +266,20 @@ def adopt(problem: Problem, routes: Routes, after: IntArray) -> None:
         if routes.route[task] != UNSERVED:
             _unlink(problem, routes, task)
     for drone in range(len(problem.capacity)):
-        node = num_tasks + drone
+        node = np.int64(num_tasks + drone)
         while after[node] < num_tasks:
-            _link(problem, routes, after[node], node)
-            node = after[node]
+            _link(problem, routes, np.int64(after[node]), node)
+            node = np.int64(after[node])
+    collect_waiting(problem, routes)
+    commit(routes)
+
+
+@compiled
+def collect_waiting(problem: Problem, routes: Routes) -> None:
+    """Find the tasks that no drone serves."""
     waiting = 0
-    for task in range(num_tasks):
+    for task in range(len(problem.demand)):
         if routes.route[task] == UNSERVED:
             routes.waiting[waiting] = task
             waiting += 1
     routes.counters[NUM_WAITING] = waiting
-    commit(routes)
