@@ -49,7 +49,7 @@ def run_batch(
     deaths: Counter[str] = Counter()
 
     def take(result: Result) -> None:
-        attempts = {"attempts": 1 + deaths[result.key]} if deaths[result.key] else {}
+        attempts = {"attempts": min(1 + deaths[result.key], MOST_DEATHS)} if deaths[result.key] else {}
         journal.add(Result(result.key, result.row, {**result.timing, **attempts}))
         done(result)
 
