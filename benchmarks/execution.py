@@ -1,0 +1,161 @@
+"""How well and how fast plans are flown: completion, tracking and real-time factor, in five families and two city blocks.
+
+    python -m benchmarks.execution --scenes 20 --seed 0 --out out/execution
+
+Writes ``execution.csv`` (a row a flight), ``summary.md`` and ``execution.png``. Real-time factors are seconds flown for each
+processor second of one core; the plans they are measured on hold as many drones as ``--fleets`` says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.planning import CITIES, Case, warm_up
+from benchmarks.report import Rows, header, markdown_table, write_summary
+from flockopt import FlockError, Scene, generate, plan
+from flockopt.families import FAMILIES
+from sim.execute import execute
+from sim.settings import FlightSettings
+
+__all__ = ["main"]
+
+COLUMNS = (
+    "scene", "family", "seed", "drones", "tasks", "planner", "status", "failed", "execution_completion", "contacts",
+    "mean_tracking_error", "max_tracking_error", "clearance", "min_clearance", "separation", "min_separation",
+    "real_time_factor",
+)  # fmt: skip
+
+#: A flight is computed this often for its real-time factor; the fastest counts.
+REPEATS = 5
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the benchmark; 0 if every flight was certified, complete and without contact."""
+    options = _parser().parse_args(argv)
+    settings = FlightSettings(vehicle=options.vehicle, controller=options.controller)
+    rows = Rows(options.out / "execution.csv", COLUMNS)
+    warm_up(options.planner)
+    cases = [
+        Case(family, options.drones, options.tasks, options.seed + offset)
+        for family in options.families
+        for offset in range(1 if family in CITIES else options.scenes)
+    ]
+    for number, case in enumerate(cases, start=1):
+        rows.add(_row(case, options.planner, settings))
+        print(f"\r{number}/{len(cases)} {case.family:<10}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    rows.close()
+    factors = [(drones, _fastest(drones, options, settings)) for drones in options.fleets]
+    write_summary(options.out, _summary(rows.records, factors, settings))
+    _plot(rows.records, options.out / "execution.png")
+    return 0 if all(_is_flawless(record) for record in rows.records) else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.execution", description=__doc__.split("\n")[0])
+    parser.add_argument("--scenes", type=int, default=20, help="seeds for each family (default 20)")
+    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
+    names = [*FAMILIES, *CITIES]
+    parser.add_argument("--families", nargs="+", default=names, choices=names, help="what to fly")
+    parser.add_argument("--drones", type=int, default=10, help="in each scene of a family (default 10)")
+    parser.add_argument("--tasks", type=int, default=20, help="in each scene of a family (default 20)")
+    parser.add_argument("--planner", default="classical", help="who plans (default classical)")
+    parser.add_argument("--vehicle", help="for all drones (default: by mass or radius)")
+    parser.add_argument("--controller", default="geometric", help="geometric or mellinger (default geometric)")
+    parser.add_argument("--fleets", type=int, nargs="*", default=[10, 50], help="sizes for real-time factors (default 10 50)")
+    return parser
+
+
+def _row(case: Case, planner: str, settings: FlightSettings) -> dict[str, Any]:
+    scene = case.scene()
+    record: dict[str, Any] = dict.fromkeys(COLUMNS) | {
+        "scene": scene.sha256[:12], "family": case.family, "seed": case.seed, "drones": scene.num_drones,
+        "tasks": scene.num_tasks, "planner": planner, "execution_completion": 0.0, "clearance": scene.clearance,
+        "separation": scene.separation,
+    }  # fmt: skip
+    try:
+        made = plan(scene, planner=planner, seed=case.seed)
+        record["status"] = made.status
+        flight = execute(scene, made, settings)
+    except FlockError as fault:
+        return record | {"status": record["status"] or "error", "failed": str(fault)}
+    outcome = flight.outcome
+    return record | {
+        "execution_completion": outcome.completion, "contacts": len(flight.touches),
+        "mean_tracking_error": outcome.mean_tracking_error, "max_tracking_error": outcome.max_tracking_error,
+        "min_clearance": outcome.min_clearance, "min_separation": outcome.min_separation,
+        "real_time_factor": flight.real_time_factor,
+    }  # fmt: skip
+
+
+def _is_flawless(record: dict[str, Any]) -> bool:
+    return record["status"] == "certified" and record["execution_completion"] == 1.0 and record["contacts"] == 0
+
+
+def _fastest(drones: int, options: argparse.Namespace, settings: FlightSettings) -> float:
+    """The best real-time factor of a few runs of one flight."""
+    scene: Scene = generate("forest", drones=drones, tasks=2 * drones, seed=options.seed)
+    made = plan(scene, planner=options.planner, seed=options.seed)
+    return max(execute(scene, made, settings, force=True).real_time_factor for _ in range(REPEATS))
+
+
+def _summary(records: list[dict[str, Any]], factors: list[tuple[int, float]], settings: FlightSettings) -> str:
+    table = []
+    for family in dict.fromkeys(record["family"] for record in records):
+        group = [record for record in records if record["family"] == family]
+        flown = [record for record in group if record["contacts"] is not None]
+        table.append([
+            family, f"{sum(map(_is_flawless, group))}/{len(group)}",
+            100.0 * float(np.mean([record["execution_completion"] for record in group])),
+            sum(record["contacts"] for record in flown),
+            1000.0 * _worst(flown, "mean_tracking_error", max), 1000.0 * _worst(flown, "max_tracking_error", max),
+            _worst(flown, "min_clearance", min), _worst(flown, "clearance", min),
+            _worst(flown, "min_separation", min), _worst(flown, "separation", min),
+        ])  # fmt: skip
+    columns = ["scenes", "flawless", "completion %", "contacts", "worst mean error mm", "largest error mm"]
+    columns += ["least clearance m", "asked m", "least distance m", "asked m"]
+    speeds = [[drones, factor] for drones, factor in factors]
+    faults = [
+        f"- {record['family']} seed {record['seed']}: {record['status']} {record['failed'] or ''}"
+        for record in records
+        if not _is_flawless(record)
+    ]
+    rates = f"{settings.physics_hz:g} Hz physics, controllers at {settings.physics_hz * settings.num_inner:g} Hz"
+    note = f"\n{rates}. Real-time factors: the fastest of {REPEATS} runs, seconds flown for each processor second.\n\n"
+    text = [header("Execution", "benchmarks.execution"), markdown_table(columns, table), note]
+    return "\n".join([*text, markdown_table(["drones", "real-time factor"], speeds), *faults])
+
+
+def _worst(records: list[dict[str, Any]], key: str, choose: Any) -> float:
+    return choose((record[key] for record in records if record[key] is not None), default=float("nan"))
+
+
+def _plot(records: list[dict[str, Any]], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    flown = [record for record in records if record["contacts"] is not None]
+    families = list(dict.fromkeys(record["family"] for record in flown))
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    axes = figure.subplots()
+    for key, offset, color in (("mean_tracking_error", -0.12, "#4878a8"), ("max_tracking_error", 0.12, "#d08030")):
+        for place, family in enumerate(families):
+            values = [1000.0 * record[key] for record in flown if record["family"] == family]
+            label = key.replace("_", " ") if place == 0 else None
+            axes.plot(np.full(len(values), place + offset), values, ".", color=color, alpha=0.6, label=label)
+    axes.set_xticks(range(len(families)), families)
+    axes.set_ylabel("mm")
+    axes.set_ylim(bottom=0.0)
+    if flown:
+        axes.legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
