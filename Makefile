@@ -49,6 +49,7 @@ lint: $(READY)  ## check style, formatting and types
 
 bench: $(READY)  ## run every benchmark on a few small scenes
 	$(RUN) -m benchmarks.planning --scenes 1 --seed 0 --sizes 4x8 --out out/bench/planning
+	$(RUN) -m benchmarks.execution --scenes 1 --seed 0 --drones 4 --tasks 8 --fleets 4 --out out/bench/execution
 	$(RUN) -m benchmarks.optimality_gap --scenes 2 --seed 0 --sizes 4x8 --methods greedy,search-5ms,lp,exact --out out/bench/gap
 	$(RUN) -m benchmarks.public_instances --data benchmarks/data/mdovrp-val-50.npz --instances 2 --out out/bench/public
 	$(RUN) -m benchmarks.trajectories --scenes 2 --seed 0 --size 3x6 --out out/bench/trajectories
@@ -65,7 +66,7 @@ format: $(READY)  ## mend what the formatter and the linter can mend
 lock: $(READY)  ## pin the newest versions that pyproject.toml allows in requirements.lock
 	$(RUN) -m pip install --quiet $(UV)
 	$(RUN) -m uv pip compile --universal --python-version 3.11 --generate-hashes --upgrade --no-header --no-annotate \
-		--no-emit-index-url --no-emit-find-links --extra show --extra solvers --extra trajectory --extra peers --extra dev \
+		--no-emit-index-url --no-emit-find-links --extra show --extra solvers --extra trajectory --extra sim --extra peers --extra dev \
 		--output-file requirements.lock pyproject.toml
 
 clean:  ## remove what the other targets made
