@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flockopt.geometry import FloatArray
-from flockopt.travel import Travel
+
+if TYPE_CHECKING:
+    from flockopt.travel import Travel
 
 __all__ = ["Bound", "Bundles", "bundle_compactness", "insertion_cost", "tasks_per_drone_std"]
 
