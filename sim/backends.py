@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from typing import NamedTuple
 
 from flockopt.errors import MissingExtra, SettingsError
 
-__all__ = ["BACKENDS", "Deaths", "open_backend"]
+__all__ = ["BACKENDS", "Backend", "open_backend"]
 
-#: Exceptions that say that a worker died.
-Deaths = tuple[type[BaseException], ...]
+
+class Backend(NamedTuple):
+    """What a batch must know of where it runs.
+
+    Attributes:
+        deaths: Exceptions that say that a worker died.
+        streams: Whether joblib can give each result as soon as it is there.
+    """
+
+    deaths: tuple[type[BaseException], ...]
+    streams: bool = True
 
 
 @contextmanager
-def open_backend(name: str, jobs: int) -> Iterator[Deaths]:
-    """Let joblib run on a backend within a ``with`` statement; gives the exceptions by which dead workers are known.
+def open_backend(name: str, jobs: int) -> Iterator[Backend]:
+    """Let joblib run on a backend within a ``with`` statement; gives what to know of it.
 
     Args:
         name: One of `BACKENDS`.
@@ -27,29 +37,29 @@ def open_backend(name: str, jobs: int) -> Iterator[Deaths]:
     """
     if name not in BACKENDS:
         raise SettingsError("backend", f"is {name!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
-    with BACKENDS[name](jobs) as deaths:
-        yield deaths
+    with BACKENDS[name](jobs) as backend:
+        yield backend
 
 
 @contextmanager
-def _processes(jobs: int) -> Iterator[Deaths]:
+def _processes(jobs: int) -> Iterator[Backend]:
     from joblib import parallel_config
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
     with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
-        yield (BrokenProcessPool,)
+        yield Backend((BrokenProcessPool,))
 
 
 @contextmanager
-def _threads(jobs: int) -> Iterator[Deaths]:
+def _threads(jobs: int) -> Iterator[Backend]:
     from joblib import parallel_config
 
     with parallel_config(backend="threading", n_jobs=jobs):
-        yield ()
+        yield Backend(())
 
 
 @contextmanager
-def _dask(jobs: int) -> Iterator[Deaths]:
+def _dask(jobs: int) -> Iterator[Backend]:
     """The cluster that the environment variable DASK_SCHEDULER_ADDRESS names, or workers of this machine."""
     try:
         from dask import config
@@ -61,15 +71,15 @@ def _dask(jobs: int) -> Iterator[Deaths]:
     address = config.get("scheduler-address", None)
     if address is not None:
         with Client(address), parallel_config(backend="dask"):
-            yield (KilledWorker,)
+            yield Backend((KilledWorker,))
         return
     local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, host="127.0.0.1")
     with local, Client(local), parallel_config(backend="dask"):
-        yield (KilledWorker,)
+        yield Backend((KilledWorker,))
 
 
 @contextmanager
-def _ray(jobs: int) -> Iterator[Deaths]:
+def _ray(jobs: int) -> Iterator[Backend]:
     """The cluster that the environment variable RAY_ADDRESS names, or workers of this machine."""
     try:
         import ray
@@ -85,12 +95,12 @@ def _ray(jobs: int) -> Iterator[Deaths]:
     register_ray()
     try:
         with parallel_config(backend="ray", n_jobs=jobs):
-            yield (ray.exceptions.RayActorError, ray.exceptions.WorkerCrashedError)
+            yield Backend((ray.exceptions.RayActorError, ray.exceptions.WorkerCrashedError), streams=False)
     finally:
         ray.shutdown()
 
 
-BACKENDS: dict[str, Callable[[int], AbstractContextManager[Deaths]]] = {
+BACKENDS: dict[str, Callable[[int], AbstractContextManager[Backend]]] = {
     "loky": _processes,
     "dask": _dask,
     "ray": _ray,

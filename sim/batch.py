@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
-from sim.backends import Deaths, open_backend
+from sim.backends import open_backend
 from sim.journal import Journal
 from sim.trial import TIMINGS, Result, Trial, run_trial
 
@@ -76,28 +76,36 @@ def _round(
     alone: bool,
 ) -> list[str]:
     """Fly trials until all are done or a worker dies; the keys of those that were under way when it did."""
+    under_way: list[str] = []
+    # One job would fly in this process, which is not to die with it.
+    workers = max(jobs, 2) if alone else jobs
+    ahead = 1 if alone else 2 * workers
+    with open_backend(backend, workers) as place:
+        try:
+            for result in _results(trials, work, ahead, under_way, streams=place.streams):
+                under_way.remove(result.key)
+                take(result)
+        except place.deaths:
+            return under_way
+    return []
+
+
+def _results(
+    trials: Sequence[Trial], work: Callable[[Trial], Result], ahead: int, under_way: list[str], *, streams: bool
+) -> Iterator[Result]:
+    """Results as they come, no more than ``ahead`` trials being handed out beyond them; their keys go into ``under_way``."""
     from joblib import Parallel, delayed
 
-    under_way: list[str] = []
-
-    def handed_out() -> Iterator[object]:
-        for trial in trials:
+    def handed_out(some: Sequence[Trial]) -> Iterator[object]:
+        for trial in some:
             under_way.append(trial.key)
             yield delayed(work)(trial)
 
-    # One job would fly in this process, which is not to die with it.
-    workers = max(jobs, 2) if alone else jobs
-    pre_dispatch = 1 if alone else 2 * workers
-    dead: Deaths
-    with open_backend(backend, workers) as dead:
-        try:
-            parallel = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=pre_dispatch)
-            for result in parallel(handed_out()):
-                under_way.remove(result.key)
-                take(result)
-        except dead:
-            return under_way
-    return []
+    if streams:
+        yield from Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)(handed_out(trials))
+        return
+    for begin in range(0, len(trials), ahead):
+        yield from Parallel(batch_size=1)(handed_out(trials[begin : begin + ahead]))
 
 
 def _given_up(trial: Trial) -> Result:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ pytest.importorskip("pybullet", reason="pybullet comes with the extra 'sim'")
 
 from flockopt import MissingExtra, SettingsError
 from sim import evaluate
-from sim.backends import open_backend
+from sim.backends import BACKENDS, open_backend
 from sim.batch import MOST_DEATHS, run_batch
 from sim.journal import ROWS, Journal
 from sim.trial import COLUMNS, Result, Trial, run_trial
@@ -149,6 +150,18 @@ def test_bad_input_is_named_in_one_line(tmp_path, capsys, arguments, words):
     assert words in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_a_backend_that_cannot_stream_flies_all_in_groups(tmp_path, monkeypatch):
+    @contextmanager
+    def in_groups(jobs):
+        with BACKENDS["threading"](jobs) as backend:
+            yield backend._replace(streams=False)
+
+    monkeypatch.setitem(BACKENDS, "groups", in_groups)
+    with Journal(tmp_path, FIRST.terms()) as journal:
+        run_batch(TRIALS, journal, jobs=2, backend="groups", work=pretend)
+        assert set(journal.results) == {trial.key for trial in TRIALS}
 
 
 @pytest.mark.parametrize(("backend", "package"), [("dask", "dask"), ("ray", "ray")])
