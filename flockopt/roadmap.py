@@ -144,9 +144,7 @@ def _chains(
             target = pairs[stop, 1]
             straight, last = segment_length(points[source], points[target]), -1
             for share in ELLIPSES:
-                _, last = within_ellipse(
-                    space, features, points, views, source, target, from_source, share * straight, parent
-                )
+                _, last = within_ellipse(space, features, points, views, source, target, from_source, share * straight, parent)
                 if last >= 0:
                     break
             if last >= 0:
@@ -173,9 +171,7 @@ def _chains(
 
 
 @njit(cache=True, error_model="numpy")
-def _trace(
-    chains: NDArray[np.int64], used: int, parent: NDArray[np.int64], last: int
-) -> tuple[NDArray[np.int64], int]:
+def _trace(chains: NDArray[np.int64], used: int, parent: NDArray[np.int64], last: int) -> tuple[NDArray[np.int64], int]:
     """Append the chain that ends with feature ``last`` to the first ``used`` entries; return it all, and its size."""
     count, u = 0, last
     while u >= 0:

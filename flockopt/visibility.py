@@ -48,7 +48,7 @@ def tangent(first: FloatArray, second: FloatArray, slack: FloatArray, u: int, d0
     """Whether a line of direction d through feature u stays out of the prism there."""
     a = d0 * first[u, 0] + d1 * first[u, 1] + d2 * first[u, 2]
     b = d0 * second[u, 0] + d1 * second[u, 1] + d2 * second[u, 2]
-    return a * b <= slack[u] * (d0 * d0 + d1 * d1 + d2 * d2 )
+    return a * b <= slack[u] * (d0 * d0 + d1 * d1 + d2 * d2)
 
 
 @njit(cache=True, error_model="numpy")
