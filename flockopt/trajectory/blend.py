@@ -206,6 +206,18 @@ def _time_scale(leg_s: FloatArray, blend_s: FloatArray, velocities: FloatArray, 
 
 
 @njit(cache=True)
+def _fill_blend(
+    piece: FloatArray, start: FloatArray, before: FloatArray, after: FloatArray, acceleration: FloatArray, seconds: float
+) -> None:
+    """Write a blend's coefficients (3, 5): from ``start`` at velocity ``before`` and ``acceleration`` to ``after`` and none."""
+    for axis in range(3):
+        change, a = after[axis] - before[axis], acceleration[axis]
+        piece[axis, 0], piece[axis, 1], piece[axis, 2] = start[axis], before[axis], a / 2
+        piece[axis, 3] = change / seconds**2 - 2 * a / (3 * seconds)
+        piece[axis, 4] = -change / (2 * seconds**3) + a / (4 * seconds**2)
+
+
+@njit(cache=True)
 def fly_polyline(
     points: FloatArray,
     rest_s: FloatArray,
@@ -233,7 +245,7 @@ def fly_polyline(
     count = points.shape[0]
     durations, coefficients = np.empty(4 * count), np.zeros((4 * count, 3, 5))
     owners, times = np.empty(4 * count, dtype=np.int64), np.zeros(count)
-    pieces, clock, first = 0, 0.0, 0
+    pieces, clock, first, rest = 0, 0.0, 0, np.zeros(3)
     entry_velocity, entry_acceleration = velocity, acceleration
     while first < count - 1:
         last = first + 1
@@ -248,15 +260,10 @@ def fly_polyline(
         center = clock + blend_s[0] / 2
         for k in range(last - first + 1):
             t = blend_s[k]
-            for axis in range(3):
-                w, dw = velocities[k, axis], velocities[k + 1, axis] - velocities[k, axis]
-                a = entry_acceleration[axis] if k == 0 else 0.0
-                x = points[first, axis] if k == 0 else vertices[k, axis] - w * t / 2
-                coefficients[pieces, axis, 0] = x
-                coefficients[pieces, axis, 1] = w
-                coefficients[pieces, axis, 2] = a / 2
-                coefficients[pieces, axis, 3] = dw / t**2 - 2 * a / (3 * t)
-                coefficients[pieces, axis, 4] = -dw / (2 * t**3) + a / (4 * t**2)
+            start = points[first] if k == 0 else vertices[k] - velocities[k] * (t / 2)
+            _fill_blend(
+                coefficients[pieces], start, velocities[k], velocities[k + 1], entry_acceleration if k == 0 else rest, t
+            )
             durations[pieces], owners[pieces] = t, 2 * (first + k)
             pieces += 1
             if k > 0:
@@ -264,9 +271,8 @@ def fly_polyline(
             if k < last - first:
                 cruise = leg_s[k] - (t + blend_s[k + 1]) / 2
                 if cruise > 1e-9:
-                    for axis in range(3):
-                        coefficients[pieces, axis, 0] = vertices[k, axis] + velocities[k + 1, axis] * t / 2
-                        coefficients[pieces, axis, 1] = velocities[k + 1, axis]
+                    coefficients[pieces, :, 0] = vertices[k] + velocities[k + 1] * (t / 2)
+                    coefficients[pieces, :, 1] = velocities[k + 1]
                     durations[pieces], owners[pieces] = cruise, 2 * (first + k) + 1
                     pieces += 1
                 center += leg_s[k]
@@ -278,7 +284,7 @@ def fly_polyline(
             pieces += 1
             clock += rest_s[last]
         first = last
-        entry_velocity, entry_acceleration = np.zeros(3), np.zeros(3)
+        entry_velocity, entry_acceleration = rest, rest
     breakpoints = np.zeros(pieces + 1)
     breakpoints[1:] = np.cumsum(durations[:pieces])
     return breakpoints, coefficients[:pieces].copy(), times, owners[:pieces].copy()
