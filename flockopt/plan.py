@@ -34,6 +34,9 @@ __all__ = ["Planner", "Proposal", "Request", "draft_plan", "plan", "plan_cost", 
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
 ALLOCATION_SHARE = 0.7
 
+#: What the allocation has at least, seconds, when a time limit is all but used up.
+LEAST_ALLOCATION_S = 1e-3
+
 #: Travel below this is none: its gap to a bound of zero is zero, while any other has none.
 NO_TRAVEL_M = 1e-6
 
@@ -140,7 +143,7 @@ def plan(
     with clock.stage("travel", 0.0):
         travel = compute_travel(scene)
     with clock.stage("allocate", 0.1):
-        left = None if time_limit_s is None else max(ALLOCATION_SHARE * (time_limit_s - clock.total), 0.0)
+        left = None if time_limit_s is None else max(ALLOCATION_SHARE * (time_limit_s - clock.total), LEAST_ALLOCATION_S)
         proposal = propose(Request(scene, travel, left, seed))
     bundles = proposal.bundles
     clock.seconds.update({"generate": 0.0, **proposal.timing})
