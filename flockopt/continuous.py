@@ -36,7 +36,7 @@ from flockopt.intervals import (
 from flockopt.kernels import point_distance
 
 __all__ = [
-    "curve_clear", "farthest_from", "first_conflict", "least_clearance", "least_separation", "parked", "separated",
+    "curve_clear", "farthest_from", "first_conflict", "least_clearance", "least_separation", "parked",
 ]  # fmt: skip
 
 #: Yes-or-no checks prove that a curve comes at most this much too near, and name only places that are at least
@@ -357,19 +357,3 @@ def first_conflict(
         if until >= end:
             return -1.0
         now = until
-
-
-@njit(
-    types.boolean(
-        ARRAY_1, ARRAY_3, types.float64, types.float64, ARRAY_1, ARRAY_3, types.float64, types.float64, ARRAY_1,
-        types.float64, types.float64,
-    ),
-    cache=True,
-)  # fmt: skip
-def separated(
-    bp_a: FloatArray, co_a: FloatArray, shift_a: float, stretch_a: float,
-    bp_b: FloatArray, co_b: FloatArray, shift_b: float, stretch_b: float,
-    axes: FloatArray, start: float, end: float,
-) -> bool:  # fmt: skip
-    """Whether two drones keep apart between two times: no `first_conflict`, whose arguments it takes."""
-    return first_conflict(bp_a, co_a, shift_a, stretch_a, bp_b, co_b, shift_b, stretch_b, axes, start, end) < 0.0

@@ -11,7 +11,6 @@ from flockopt.continuous import (
     least_clearance,
     least_separation,
     parked,
-    separated,
 )
 from flockopt.curve import Curve
 from flockopt.geometry import bounding_boxes, distances, obstacle_table
@@ -98,7 +97,6 @@ def test_least_separation_and_first_conflict_agree_with_dense_samples(seed):
     assert margin == pytest.approx(margin_at(time), abs=2 * TOLERANCE_M)
     conflict = first_conflict(*first, 0.0, 1.0, *second, 0.0, 1.0, axes, 0.0, end)
     assert (conflict >= 0.0) == (margin < 0.0)
-    assert separated(*first, 0.0, 1.0, *second, 0.0, 1.0, axes, 0.0, end) == (conflict < 0.0)
     if (truth < 0.0).any():
         assert margin_at(conflict) < 0.0
         assert conflict <= times[np.argmax(truth < 0.0)] + 2e-3
