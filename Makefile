@@ -11,6 +11,10 @@ READY := $(VENV)/.ready
 COMPILED := $(VENV)/.compiled
 DEMO := examples/scenes/rotterdam.json
 UV := uv==0.13.9
+# torch is pinned here and not in the lock, which would hold the CUDA libraries of its build for Linux. Where pip would choose
+# that build and several gigabytes of CUDA are not wanted: make TORCH_INDEX=https://download.pytorch.org/whl/cpu
+TORCH := torch==2.13.0
+TORCH_INDEX ?=
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-slow lint bench pictures format lock clean
@@ -23,6 +27,7 @@ $(READY): requirements.lock pyproject.toml
 	@echo "setting up $(VENV) (once; a minute or two)"
 	@$(PYTHON) -m venv $(VENV)
 	@$(RUN) -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
+	@$(RUN) -m pip install --quiet --disable-pip-version-check $(addprefix --extra-index-url ,$(TORCH_INDEX)) $(TORCH)
 	@$(RUN) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $(READY)
 
@@ -65,9 +70,10 @@ format: $(READY)  ## mend what the formatter and the linter can mend
 
 lock: $(READY)  ## pin the newest versions that pyproject.toml allows in requirements.lock
 	$(RUN) -m pip install --quiet $(UV)
-	$(RUN) -m uv pip compile --universal --python-version 3.11 --generate-hashes --upgrade --no-header --no-annotate \
-		--no-emit-index-url --no-emit-find-links --extra show --extra solvers --extra trajectory --extra sim --extra peers --extra dev \
-		--output-file requirements.lock pyproject.toml
+	echo "torch ; python_version < '3'" | $(RUN) -m uv pip compile --override - --universal --python-version 3.11 \
+		--generate-hashes --upgrade --no-header --no-annotate --no-emit-index-url --no-emit-find-links \
+		--extra show --extra solvers --extra trajectory --extra learned --extra openvino --extra sim --extra live --extra peers \
+		--extra dev --output-file requirements.lock pyproject.toml
 
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) out build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
