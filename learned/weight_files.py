@@ -1,0 +1,95 @@
+"""Weight files: tensors in safetensors, with the settings that made them in the header; never pickle.
+
+The header's metadata holds ``format`` (`FORMAT`), ``kind`` (whose weights they are) and ``settings`` (a JSON object,
+normalisers included). Files come from strangers: whatever is wrong with one is a named error.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flockopt import reading
+from flockopt.errors import MissingExtra, SettingsError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["FORMAT", "load_weights", "save_weights"]
+
+FORMAT = "flockopt.weights/1"
+
+MEND = "train the weights again or fetch the file anew"
+
+
+def save_weights(path: str | Path, tensors: Mapping[str, Tensor], kind: str, settings: Mapping[str, Any]) -> None:
+    """Write weights, whole or not at all.
+
+    Args:
+        path: Where; an older file is replaced.
+        tensors: By name.
+        kind: Whose weights they are, such as ``"teacher"``; `load_weights` asks for the same.
+        settings: What else is needed to use them; a JSON object.
+
+    Raises:
+        SettingsError: If the file cannot be written, or the settings are not JSON.
+        MissingExtra: If safetensors is not installed.
+    """
+    try:
+        from safetensors.torch import save
+    except ImportError:
+        raise MissingExtra("safetensors", "learned") from None
+    try:
+        header = json.dumps(dict(settings), allow_nan=False, sort_keys=True)
+    except (TypeError, ValueError) as fault:
+        raise SettingsError("settings", f"cannot be written ({fault})", "must be a JSON object", "use plain values") from None
+    metadata = {"format": FORMAT, "kind": kind, "settings": header}
+    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    reading.write_whole(SettingsError, path, save(plain, metadata))
+
+
+def load_weights(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors by name, on the CPU, and the settings in the file's header.
+
+    Args:
+        path: A file that `save_weights` wrote.
+        kind: Whose weights they must be.
+
+    Raises:
+        SettingsError: If the file is missing, damaged, foreign or of another kind, or holds values that are not finite.
+        MissingExtra: If safetensors or torch is not installed.
+    """
+    try:
+        import torch
+        from safetensors import SafetensorError, safe_open
+    except ImportError as fault:
+        raise MissingExtra(fault.name or "safetensors", "learned") from None
+    try:
+        with safe_open(path, framework="pt") as file:
+            settings = _settings(path, kind, file.metadata() or {})
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - the file is no dictionary
+    except OSError as fault:
+        words = fault.strerror or str(fault)
+        raise SettingsError("weights", f"{path} cannot be read ({words})", "it must be a readable file", MEND) from None
+    except SafetensorError as fault:
+        raise SettingsError("weights", f"{path} is damaged ({fault})", "must be a safetensors file", MEND) from None
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise SettingsError("weights", f"{path} holds {name!r} with NaN or infinity", "weights are finite", MEND)
+    return tensors, settings
+
+
+def _settings(path: str | Path, kind: str, metadata: Mapping[str, str]) -> dict[str, Any]:
+    """The settings of a header, once it is one of ours and of this kind."""
+    if metadata.get("format") != FORMAT:
+        value = f"{path} has the format {reading.shown(metadata.get('format'))}"
+        raise SettingsError("weights", value, f'must be "{FORMAT}"', "name a file that this package wrote")
+    if metadata.get("kind") != kind:
+        value = f"{path} is for {reading.shown(metadata.get('kind'))}"
+        raise SettingsError("weights", value, f"must be for {kind!r}", "name the right file")
+    settings = reading.parse_json(SettingsError, metadata.get("settings", ""), f"the settings in {path}")
+    if not isinstance(settings, dict):
+        raise SettingsError("weights", f"{path} has settings {reading.shown(settings)}", "must be a JSON object", MEND)
+    return settings
