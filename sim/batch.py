@@ -7,9 +7,9 @@ so that the next death has one name; a flight that kills three workers becomes a
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
-from sim.backends import open_backend
+from flockopt.backends import open_backend, outcomes
 from sim.journal import Journal
 from sim.trial import TIMINGS, Result, Trial, run_trial
 
@@ -37,7 +37,7 @@ def run_batch(
         trials: The flights; their keys are all different.
         journal: Takes every result as soon as it is there.
         jobs: Workers.
-        backend: One of `sim.backends.BACKENDS`.
+        backend: One of `flockopt.backends.BACKENDS`.
         work: What a worker does with a trial.
         done: Told of every result.
         warn: Told, in words, of every dead worker.
@@ -82,30 +82,12 @@ def _round(
     ahead = 1 if alone else 2 * workers
     with open_backend(backend, workers) as place:
         try:
-            for result in _results(trials, work, ahead, under_way, streams=place.streams):
+            for result in outcomes(place, work, trials, ahead, begun=lambda trial: under_way.append(trial.key)):
                 under_way.remove(result.key)
                 take(result)
         except place.deaths:
             return under_way
     return []
-
-
-def _results(
-    trials: Sequence[Trial], work: Callable[[Trial], Result], ahead: int, under_way: list[str], *, streams: bool
-) -> Iterator[Result]:
-    """Results as they come, no more than ``ahead`` trials being handed out beyond them; their keys go into ``under_way``."""
-    from joblib import Parallel, delayed
-
-    def handed_out(some: Sequence[Trial]) -> Iterator[object]:
-        for trial in some:
-            under_way.append(trial.key)
-            yield delayed(work)(trial)
-
-    if streams:
-        yield from Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)(handed_out(trials))
-        return
-    for begin in range(0, len(trials), ahead):
-        yield from Parallel(batch_size=1)(handed_out(trials[begin : begin + ahead]))
 
 
 def _given_up(trial: Trial) -> Result:

@@ -17,15 +17,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from flockopt import FlockError, SettingsError, plan, reading
+from flockopt.backends import BACKENDS
 from flockopt.families import FAMILIES
 from flockopt.plan import planner_names
-from sim.backends import BACKENDS
+from flockopt.progress_bar import ProgressBar
 from sim.batch import run_batch
 from sim.execute import execute
 from sim.fleet import CONTROLLERS
 from sim.journal import Journal
 from sim.movie import save_movie
-from sim.progress import ProgressBar
 from sim.settings import FlightSettings
 from sim.summary import draw_summary, flawless, summary_text
 from sim.trial import Result, Trial

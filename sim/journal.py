@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 import os
@@ -14,11 +13,12 @@ from typing import Any, Self
 
 from flockopt import reading
 from flockopt.errors import SettingsError
+from flockopt.run_folder import RunFolder
 from sim.trial import COLUMNS, TIMINGS, Result, Value
 
 __all__ = ["Journal", "table"]
 
-TERMS, ROWS, LOCK = "terms.json", "rows.jsonl", ".lock"
+ROWS = "rows.jsonl"
 
 
 class Journal:
@@ -35,34 +35,20 @@ class Journal:
     def __init__(self, folder: Path, terms: dict[str, Any]) -> None:
         self.folder = folder
         self.results: dict[str, Result] = {}
+        self._run = RunFolder(folder, terms, "flights")
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as fault:
-            value = f"{folder} cannot be used ({fault.strerror})"
-            raise SettingsError("out", value, "must be a folder to write to", "choose another") from None
-        try:
-            self._open(terms)
+            self._read()
+            self._file = os.open(self.folder / ROWS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         except BaseException:
-            os.close(self._lock)
+            self._run.close()
             raise
-
-    def _open(self, terms: dict[str, Any]) -> None:
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            mend = "wait for it or choose another folder"
-            raise SettingsError("out", f"{self.folder} is in use", "one run at a time writes there", mend) from None
-        self._agree(json.loads(json.dumps(terms)))
-        self._read()
-        self._file = os.open(self.folder / ROWS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None) -> None:
         os.close(self._file)
-        os.close(self._lock)
+        self._run.close()
 
     def __contains__(self, key: str) -> bool:
         return key in self.results
@@ -75,17 +61,6 @@ class Journal:
         os.write(self._file, line.encode() + b"\n")
         os.fsync(self._file)
         self.results[result.key] = result
-
-    def _agree(self, terms: dict[str, Any]) -> None:
-        path = self.folder / TERMS
-        if not path.exists():
-            reading.write_whole(SettingsError, path, json.dumps(terms, indent=1) + "\n")
-            return
-        found = reading.read_json(SettingsError, path)
-        for name, value in terms.items():
-            if not isinstance(found, dict) or found.get(name) != value:
-                seen = f"{self.folder} holds flights with {name} {reading.shown(found.get(name))}"
-                raise SettingsError("out", seen, f"this run has {reading.shown(value)}", "choose another folder")
 
     def _read(self) -> None:
         """Read the lines that are whole; what a kill left of the last one is cut off."""

@@ -18,8 +18,8 @@ import pytest
 pytest.importorskip("pybullet", reason="pybullet comes with the extra 'sim'")
 
 from flockopt import MissingExtra, SettingsError
+from flockopt.backends import BACKENDS, open_backend
 from sim import evaluate
-from sim.backends import BACKENDS, open_backend
 from sim.batch import MOST_DEATHS, run_batch
 from sim.journal import ROWS, Journal
 from sim.trial import COLUMNS, Result, Trial, run_trial

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from flockopt.errors import MissingExtra, SettingsError
 
-__all__ = ["BACKENDS", "Backend", "open_backend"]
+__all__ = ["BACKENDS", "Backend", "open_backend", "outcomes"]
+
+Item = TypeVar("Item")
+Outcome = TypeVar("Outcome")
 
 
 class Backend(NamedTuple):
@@ -39,6 +42,36 @@ def open_backend(name: str, jobs: int) -> Iterator[Backend]:
         raise SettingsError("backend", f"is {name!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
     with BACKENDS[name](jobs) as backend:
         yield backend
+
+
+def outcomes(
+    place: Backend,
+    work: Callable[[Item], Outcome],
+    items: Sequence[Item],
+    ahead: int,
+    begun: Callable[[Item], object] = lambda item: None,
+) -> Iterator[Outcome]:
+    """What comes of each item, as it comes; within `open_backend`.
+
+    Args:
+        place: What `open_backend` gave.
+        work: What a worker does with an item.
+        items: All there is to do.
+        ahead: How many items are handed out beyond what has come back, at most.
+        begun: Told of every item that is handed out.
+    """
+    from joblib import Parallel, delayed
+
+    def handed_out(some: Sequence[Item]) -> Iterator[object]:
+        for item in some:
+            begun(item)
+            yield delayed(work)(item)
+
+    if place.streams:
+        yield from Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)(handed_out(items))
+        return
+    for begin in range(0, len(items), ahead):
+        yield from Parallel(batch_size=1)(handed_out(items[begin : begin + ahead]))
 
 
 @contextmanager
@@ -90,7 +123,7 @@ def _ray(jobs: int) -> Iterator[Backend]:
 
     from joblib import parallel_config
 
-    local = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "include_dashboard": False}
+    local: dict[str, Any] = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "include_dashboard": False}
     ray.init(log_to_driver=False, configure_logging=False, **local)
     register_ray()
     try:
