@@ -103,6 +103,11 @@ def _parser() -> argparse.ArgumentParser:
         help="how hard to work for the lower bound: fast, tight or exact (default: tight)",
     )  # fmt: skip
     plan.add_argument("--smooth", action="store_true", help="smooth the flights: done earlier, with less jerk (needs casadi)")
+    plan.add_argument(
+        "--tracking-margin", type=_metres, default=0.0, metavar="M",
+        help="how far drones may stray in flight, metres: keep that much more clearance and twice that much more separation "
+        "where there is room (default: 0)",
+    )  # fmt: skip
     plan.add_argument("--show", action="append", default=[], metavar="FILE", help="draw it too: .png or .html; repeatable")
     plan.add_argument("--quiet", action="store_true", help="print no table and no progress")
 
@@ -169,6 +174,16 @@ def _whole(least: int) -> Callable[[str], int]:
         return value
 
     return convert
+
+
+def _metres(words: str) -> float:
+    try:
+        value = float(words)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"is {words!r}; must be a finite number of metres >= 0; leave it out for none")
+    return value
 
 
 def _seconds(words: str) -> float:

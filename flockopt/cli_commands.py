@@ -36,6 +36,7 @@ def plan(options: argparse.Namespace) -> int:
             seed=options.seed,
             bound=options.bound,
             smoothing=options.smooth,
+            tracking_margin_m=options.tracking_margin,
             progress=progress,
         )
         result.save(options.output)

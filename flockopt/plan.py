@@ -14,6 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
+from flockopt import reading
 from flockopt.allocate.bounds import BOUNDS, lower_bound
 from flockopt.allocate.refine import refine_bundles
 from flockopt.bundles import Bound, Bundles
@@ -27,6 +28,7 @@ from flockopt.trajectory.decode import decode
 from flockopt.trajectory.deconflict import deconflict
 from flockopt.trajectory.smooth import smooth
 from flockopt.trajectory.smooth_program import load_casadi
+from flockopt.trajectory.tracking_margin import margins, roomier
 from flockopt.travel import Travel, compute_travel
 
 __all__ = ["Planner", "Proposal", "Request", "draft_plan", "plan", "plan_cost", "planner_names"]
@@ -112,6 +114,7 @@ def plan(
     seed: int = 0,
     bound: str = "tight",
     smoothing: bool = False,
+    tracking_margin_m: float = 0.0,
     progress: Progress | None = None,
 ) -> Plan:
     """Plan a fleet's flight and certify it.
@@ -125,6 +128,9 @@ def plan(
         bound: How hard to prove a lower bound: see `flockopt.allocate.bounds.lower_bound`.
         smoothing: Whether to smooth the flights before they are kept apart: the fleet is done earlier, with less jerk,
             for tens of milliseconds a drone (`flockopt.trajectory.smooth`).
+        tracking_margin_m: How far drones may stray from the plan, metres: flights keep that much more clearance, and twice
+            that much more separation, as far as the scene leaves the room (`flockopt.trajectory.tracking_margin`). The
+            certificate is for the scene as it is.
         progress: Called with a stage's name and the fraction of the whole that is done.
 
     Returns:
@@ -132,11 +138,12 @@ def plan(
         certificate names clauses that fail, or ``infeasible`` with the reason and without flights.
 
     Raises:
-        SettingsError: On an unknown planner or bound, a time limit that is not positive, or a negative seed.
+        SettingsError: On an unknown planner or bound, a time limit that is not positive, or a negative seed or margin.
         MissingExtra: If smoothing is asked for and CasADi is not installed.
     """
     propose = _planner(planner)
     _check_settings(time_limit_s, seed, bound)
+    margin_m = reading.number(SettingsError, "tracking_margin_m", tracking_margin_m, least=0.0)
     if smoothing:
         load_casadi()
     clock = _Clock(progress)
@@ -152,16 +159,20 @@ def plan(
         return replace(draft, status="infeasible", reason=bundles.reason, timing=clock.timing())
     with clock.stage("bound", 0.5):
         proof = lower_bound(scene, travel, bound=bound, upper=travel.total(bundles.routes))
-    with clock.stage("decode", 0.6):
-        flights = decode(scene, bundles, proposal.samples, travel=travel)
-    if smoothing:
-        with clock.stage("smooth", 0.65):
-            flights = smooth(scene, flights)
-    with clock.stage("deconflict", 0.7):
-        flights = deconflict(scene, bundles, flights, travel=travel).flights
-    draft = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
-    with clock.stage("certify", 0.9):
-        certificate = certify(scene, draft, travel=travel, bound=proof)
+    for clearance_m, separation_m in margins(margin_m):
+        with clock.stage("decode", 0.6):
+            room, ways = roomier(scene, travel, bundles, clearance_m, separation_m)
+            flights = decode(room, bundles, proposal.samples, travel=ways)
+        if smoothing:
+            with clock.stage("smooth", 0.65):
+                flights = smooth(room, flights)
+        with clock.stage("deconflict", 0.7):
+            flights = deconflict(room, bundles, flights, travel=ways).flights
+        draft = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
+        with clock.stage("certify", 0.9):
+            certificate = certify(scene, draft, travel=travel, bound=proof)
+        if certificate.certified:
+            break
     status = "certified" if certificate.certified else "uncertified"
     return replace(draft, status=status, certificate=certificate, timing=clock.timing())
 
@@ -220,7 +231,7 @@ class _Clock:
             self.progress(name, fraction)
         began = perf_counter()
         yield
-        self.seconds[name] = perf_counter() - began
+        self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - began
 
     @property
     def total(self) -> float:

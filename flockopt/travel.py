@@ -157,11 +157,16 @@ def straight_travel(scene: Scene) -> Travel:
     return Travel(start_task, task_task, task_end, start_end, classes, Paths(_places(scene)))
 
 
-def compute_travel(scene: Scene) -> Travel:
+def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = None) -> Travel:
     """Shortest any-angle distances and paths that keep clear of obstacles and within bounds.
 
     Each obstacle is kept at ``radius + clearance`` and a margin of up to `MOST_MARGIN_M`, less where a start, an
     end or a task is nearer than that. A task too near an obstacle for a class of drones has no way for them.
+
+    Args:
+        scene: The scene.
+        routes: Where only the legs of these routes are wanted, one route of task indices a drone; what other distances
+            there are is then left open.
     """
     if not scene.obstacles:
         return straight_travel(scene)
@@ -173,7 +178,8 @@ def compute_travel(scene: Scene) -> Travel:
     )  # fmt: skip
     points = _places(scene)
     gaps = distances(scene.obstacle_table, points)  # (P, K)
-    legs = [_fill_class(scene, travel, points, gaps, index, float(radius)) for index, radius in enumerate(radii)]
+    wanted = None if routes is None else _pairs_on(scene, routes)
+    legs = [_fill_class(scene, travel, points, gaps, index, float(radius), wanted) for index, radius in enumerate(radii)]
     keys, offsets, bends = zip(*legs, strict=True)
     for array in (travel.start_task, travel.task_task, travel.task_end, travel.start_end):
         array.setflags(write=False)
@@ -185,10 +191,29 @@ def _places(scene: Scene) -> FloatArray:
     return np.concatenate([scene.task_positions, scene.starts, scene.ends])
 
 
+def _pairs_on(scene: Scene, routes: Sequence[Sequence[int]]) -> NDArray[np.bool_]:
+    """Which pairs of places (as in `_places`) follow each other on the routes, (P, P)."""
+    num_drones, num_tasks = scene.num_drones, scene.num_tasks
+    wanted = np.zeros((num_tasks + 2 * num_drones,) * 2, dtype=np.bool_)
+    for drone, route in enumerate(routes):
+        stops = [num_tasks + drone, *route, num_tasks + num_drones + drone]
+        wanted[stops[:-1], stops[1:]] = wanted[stops[1:], stops[:-1]] = True
+    return wanted
+
+
 def _fill_class(
-    scene: Scene, travel: Travel, points: FloatArray, gaps: FloatArray, index: int, radius: float
+    scene: Scene,
+    travel: Travel,
+    points: FloatArray,
+    gaps: FloatArray,
+    index: int,
+    radius: float,
+    only: NDArray[np.bool_] | None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
-    """Fill the distances of one class of drones; return its keys, offsets and bends for `Paths`."""
+    """Fill the distances of one class of drones; return its keys, offsets and bends for `Paths`.
+
+    Pairs of places that ``only`` (P, P) does not hold, if it is given, are left out.
+    """
     from flockopt.roadmap import Roadmap
 
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
@@ -206,6 +231,8 @@ def _fill_class(
     starts = len(tasks) + np.flatnonzero(bound)
     ends = len(tasks) + len(drones) + np.arange(len(starts))
     wanted[starts, ends] = True
+    if only is not None:
+        wanted &= only[np.ix_(active, active)]
     legs = roadmap.legs(points[active], wanted)
 
     travel.task_task[index][np.ix_(tasks, tasks)] = legs.lengths[: len(tasks), : len(tasks)]
