@@ -1,0 +1,224 @@
+"""Demonstrations: scenes with a teacher's assignment A*, ordered bundles B* and fleet samples X* (N, T, 3), in shards.
+
+    python -m learned.demonstrations --scenes 20000 --seed 0 --jobs 2 --teacher search --out runs/demonstrations
+
+Killed and started again, it goes on where it stopped; asked for more scenes, it adds them. The same settings give the same
+bytes, whatever the number of jobs. `learned.shards.load_demonstrations` reads them; docs/demonstrations.md says what
+is in them. Exit status 0, or 2 on bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from flockopt import FlockError, SettingsError, reading, refine_bundles
+from flockopt.backends import BACKENDS, open_backend, outcomes
+from flockopt.bundles import Bundles
+from flockopt.families import FAMILIES
+from flockopt.progress_bar import ProgressBar
+from flockopt.run_folder import RunFolder
+from flockopt.scene import Scene
+from flockopt.travel import Travel, compute_travel
+from learned.demonstration_scenes import SceneMix, draw_scene, random_bundles
+from learned.rollout import NUM_SAMPLES, roll_out
+from learned.shards import load_demonstrations, pack, read_shard, shard_path, write_shard
+
+__all__ = ["TEACHERS", "DemonstrationSettings", "load_demonstrations", "main", "make_shard", "write_demonstrations"]
+
+#: Scenes in a shard: what is lost when a run is killed.
+SHARD_SCENES = 100
+
+#: How often a batch begins again after a worker has died.
+MOST_DEATHS = 3
+
+#: Bundles for scenes, given their travel and seeds.
+Teacher: TypeAlias = Callable[[Sequence[Scene], Sequence[Travel], Sequence[int]], list[Bundles]]
+
+
+def _search(scenes: Sequence[Scene], travels: Sequence[Travel], seeds: Sequence[int]) -> list[Bundles]:
+    """Near-optimal bundles."""
+    cases = zip(scenes, travels, seeds, strict=True)
+    return [refine_bundles(scene, travel=travel, seed=seed) for scene, travel, seed in cases]
+
+
+#: Who makes the bundles of scenes that are not hard.
+TEACHERS: dict[str, Teacher] = {"search": _search}
+
+
+@dataclass(frozen=True)
+class DemonstrationSettings:
+    """What is demonstrated, and how.
+
+    Attributes:
+        mix: The scenes.
+        seed: Of the first scene; the others follow.
+        teacher: One of `TEACHERS`.
+        num_samples: T.
+
+    Raises:
+        SettingsError: Naming the field, the value, the rule and the mend.
+    """
+
+    mix: SceneMix = field(default_factory=SceneMix)
+    seed: int = 0
+    teacher: str = "search"
+    num_samples: int = NUM_SAMPLES
+
+    def __post_init__(self) -> None:
+        reading.integer(SettingsError, "seed", self.seed, least=0)
+        reading.integer(SettingsError, "num_samples", self.num_samples, least=2)
+        if self.teacher not in TEACHERS:
+            rule = f"must be one of {', '.join(TEACHERS)}"
+            raise SettingsError("teacher", f"is {reading.shown(self.teacher)}", rule, "choose one")
+
+    def terms(self) -> dict[str, Any]:
+        """What shards of one folder share."""
+        return {**asdict(self), "shard_scenes": SHARD_SCENES}
+
+
+def make_shard(settings: DemonstrationSettings, seeds: Sequence[int]) -> dict[str, Any]:
+    """The arrays of the demonstrations for these scenes."""
+    drawn = [draw_scene(settings.mix, seed) for seed in seeds]
+    travels = [compute_travel(scene.replace(clearance=scene.clearance + settings.mix.margin)) for scene, _ in drawn]
+    cases = [(scene, travel, seed) for (scene, is_hard), travel, seed in zip(drawn, travels, seeds, strict=True) if not is_hard]
+    taught = iter(TEACHERS[settings.teacher](*(list(column) for column in zip(*cases, strict=True))) if cases else ())
+    rows = []
+    for (scene, is_hard), travel, seed in zip(drawn, travels, seeds, strict=True):
+        bundles = random_bundles(scene, travel, seed) if is_hard else next(taught)
+        rollout = roll_out(scene, bundles, travel.path, settings.num_samples)
+        rows.append((seed, scene.name.split("-")[0], is_hard, scene, bundles, rollout))
+    return pack(rows)
+
+
+def write_demonstrations(
+    folder: Path,
+    num_scenes: int,
+    settings: DemonstrationSettings,
+    *,
+    jobs: int = 1,
+    backend: str = "loky",
+    begun: Callable[[int, int], object] = lambda total, done: None,
+    done: Callable[[str], object] = lambda words: None,
+    warn: Callable[[str], object] = lambda words: None,
+) -> None:
+    """Write all shards that the folder does not hold yet.
+
+    Args:
+        folder: Where; made if it does not exist.
+        num_scenes: How many scenes it shall hold.
+        settings: What is demonstrated.
+        jobs: Workers.
+        backend: One of `flockopt.backends.BACKENDS`.
+        begun: Told once how many shards there are to be and how many are there.
+        done: Told of every shard that is written.
+        warn: Told of dead workers.
+
+    Raises:
+        SettingsError: If the folder holds other demonstrations, is in use, or holds damaged ones.
+    """
+    with RunFolder(folder, settings.terms(), "demonstrations"):
+        shards = list(_shards(num_scenes, settings.seed))
+        missing = [shard for shard in shards if _size(shard_path(folder, shard[0])) < len(shard[1])]
+        begun(len(shards), len(shards) - len(missing))
+        for deaths in range(MOST_DEATHS + 1):
+            if _round(folder, missing, settings, jobs, backend, done):
+                return
+            warn(f"a worker died ({deaths + 1} of {MOST_DEATHS}); going on with the shards that are missing")
+            missing = [shard for shard in missing if _size(shard_path(folder, shard[0])) < len(shard[1])]
+    raise SettingsError("jobs", f"is {jobs}", "workers must live", "take fewer, or look for why they die (memory?)")
+
+
+def _round(
+    folder: Path,
+    shards: Sequence[tuple[int, range]],
+    settings: DemonstrationSettings,
+    jobs: int,
+    backend: str,
+    done: Callable[[str], object],
+) -> bool:
+    """Make shards until all are there, or until a worker dies: whether all are there."""
+    with open_backend(backend, jobs) as place:
+        try:
+            for number, arrays in outcomes(place, partial(_work, settings), shards, 2 * jobs):
+                write_shard(shard_path(folder, number), arrays)
+                done(shard_path(folder, number).name)
+        except place.deaths:
+            return False
+    return True
+
+
+def _work(settings: DemonstrationSettings, shard: tuple[int, range]) -> tuple[int, dict[str, Any]]:
+    return shard[0], make_shard(settings, shard[1])
+
+
+def _shards(num_scenes: int, seed: int) -> Iterator[tuple[int, range]]:
+    """Number and seeds of every shard."""
+    for number, begin in enumerate(range(0, num_scenes, SHARD_SCENES)):
+        yield number, range(seed + begin, seed + min(begin + SHARD_SCENES, num_scenes))
+
+
+def _size(path: Path) -> int:
+    """How many scenes a shard holds; 0 if it is not there."""
+    return len(read_shard(path)["seed"]) if path.exists() else 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line."""
+    options = _parser().parse_args(argv)
+    try:
+        _run(options)
+    except FlockError as fault:
+        print(f"learned.demonstrations: {fault}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m learned.demonstrations", description=(__doc__ or "").split("\n")[0])
+    mix = SceneMix()
+    parser.add_argument("--scenes", type=int, default=20000, help="how many (default 20000)")
+    parser.add_argument("--seed", type=int, default=0, help="of the first scene; the others follow (default 0)")
+    parser.add_argument("--teacher", default="search", help=f"who makes the bundles: {', '.join(TEACHERS)} (default search)")
+    parser.add_argument("--family", default=mix.family, help=f"{', '.join(FAMILIES)} or all (default all)")
+    parser.add_argument("--hard", type=float, default=mix.hard_share, metavar="SHARE", help="of hard scenes (default 0.5)")
+    parser.add_argument(
+        "--usual", type=float, default=mix.usual_share, metavar="SHARE", help="of scenes with 10 drones, 20 tasks (default 0.7)"
+    )
+    parser.add_argument(
+        "--margin", type=float, default=mix.margin, metavar="M",
+        help=f"how much farther from obstacles than they must paths keep, metres (default {mix.margin:g})",
+    )  # fmt: skip
+    parser.add_argument("--samples", type=int, default=NUM_SAMPLES, help=f"of each drone (default {NUM_SAMPLES})")
+    parser.add_argument("--jobs", type=int, default=1, help="shards side by side (default 1)")
+    parser.add_argument(
+        "--backend", default="loky", help=f"where they are made: {', '.join(BACKENDS)} (default loky: processes)"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder for the shards")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
+    scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
+    jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
+    mix = SceneMix(options.family, options.hard, options.usual, options.margin)
+    settings = DemonstrationSettings(mix, options.seed, options.teacher, options.samples)
+    if options.backend not in BACKENDS:
+        raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
+    bars: list[ProgressBar] = []
+    write_demonstrations(
+        options.out, scenes, settings, jobs=jobs, backend=options.backend,
+        begun=lambda total, done: bars.append(ProgressBar(total, done)),
+        done=lambda words: bars[0].advance(words), warn=lambda words: bars[0].note(words),
+    )  # fmt: skip
+    for bar in bars:
+        bar.close()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
