@@ -1,9 +1,10 @@
 """A PyBullet world made from a scene: its obstacles, its drones, and what touches what.
 
-PyBullet has no calls for many bodies at once, and each call costs as much as a drone's whole controller. So a step writes
-each drone's mean velocity, which `sim.fleet` has worked out from thrust, gravity and drag, and PyBullet moves the bodies
-and finds and resolves contacts. A body that nothing is near to ends where that velocity takes it, which is known without
-asking: only the poses and velocities of bodies with contact points are read back at once, all others every few steps.
+A step writes each drone's mean velocity, which `sim.fleet` has worked out from thrust, gravity and drag; PyBullet moves the
+bodies and finds and resolves contacts. A body that nothing is near to ends where that velocity takes it, which is known
+without asking. PyBullet has no calls for many bodies at once, and each call costs as much as a drone's whole controller: so
+it is asked only in steps in which something comes within `REACH_M` of touching, and only the poses and velocities of bodies
+with contact points are read back. Its bodies catch up before such a step (a test flies both ways and compares).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from flockopt.errors import MissingExtra, SettingsError, SolverFailed
 from flockopt.geometry import FloatArray
 from flockopt.scene import Box, Cylinder, Obstacle, Scene
 from sim.fleet import POSE, RATES, VELOCITY
+from sim.reach import within_reach
 from sim.vehicles import Vehicle
 
 __all__ = ["SHAPES", "Touch", "World", "load_pybullet"]
@@ -35,8 +37,8 @@ SHAPES = ("ball", "disc")
 #: The flat cylinder's height over its diameter; its rims are on the ball.
 DISC_FLATNESS = 0.25
 
-#: Steps from one reading of all poses to the next.
-READ_EVERY = 24
+#: PyBullet is asked when surfaces come nearer than this, metres; it makes contact points from 0.02 m on.
+REACH_M = 0.05
 
 #: How bouncy and how rough drones are.
 RESTITUTION, FRICTION = 0.2, 0.4
@@ -93,21 +95,21 @@ class World:
         step_s: Seconds a step, > 0.
         shape: One of `SHAPES`, the drones' collision shape.
         gui: Whether to open a window; the server is in this process without one otherwise.
-        read_every: After how many steps all poses are read, whether anything was near them or not.
+        always: Whether PyBullet moves all bodies in every step, as a window needs it.
 
     Raises:
         MissingExtra: If PyBullet is not installed.
-        SettingsError: On an unknown shape, or a step or ``read_every`` that is not positive.
+        SettingsError: On an unknown shape, or a step that is not positive.
         SolverFailed: If PyBullet cannot connect.
     """
 
     def __init__(
         self, scene: Scene, vehicles: list[Vehicle], step_s: float, *, shape: str = "ball", gui: bool = False,
-        read_every: int = READ_EVERY,
+        always: bool = False,
     ) -> None:  # fmt: skip
         if shape not in SHAPES:
             raise SettingsError("shape", f"is {shape!r}", f"must be one of {', '.join(SHAPES)}", "choose one")
-        self._read_every, self._steps = reading.integer(SettingsError, "read_every", read_every, least=1), 0
+        self._always = always or gui
         self.step_s = reading.number(SettingsError, "step_s", step_s, above=0.0)
         self._scene, self._bullet = scene, load_pybullet()
         self.client: int = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
@@ -119,6 +121,9 @@ class World:
         self._names |= {body: drone.id for body, drone in zip(self.bodies, scene.drones, strict=True)}
         self._number = {body: i for i, body in enumerate(self.bodies)}
         self._touching: frozenset[tuple[int, int]] = frozenset()
+        self._radii = np.array(scene.radii)
+        self._poses = np.zeros((scene.num_drones, 7))  # where the bodies are, or will be once they have caught up
+        self._poses[:, :3], self._poses[:, 6], self._is_behind = scene.starts, 1.0, False
 
     def __enter__(self) -> Self:
         return self
@@ -132,12 +137,20 @@ class World:
             self._bullet.disconnect(physicsClientId=self.client)
             self.client = -1
 
+    def remove(self, row: int) -> None:
+        """Take a drone out of the world; those after it move up a row."""
+        body = self.bodies.pop(row)
+        self._bullet.removeBody(body, physicsClientId=self.client)
+        self._number = {body: i for i, body in enumerate(self.bodies)}
+        self._touching = frozenset(pair for pair in self._touching if body not in pair)
+        self._radii, self._poses = np.delete(self._radii, row), np.delete(self._poses, row, axis=0)
+
     def step(self, states: FloatArray, drive: FloatArray, spin: FloatArray, time: float) -> list[Touch]:
         """Let the drones move for one step.
 
         Args:
             states: (N, 17) as in `sim.fleet`, where the drones will be if nothing is in their way; poses and velocities of
-                those that touch something are brought up to date, and now and then the poses of all.
+                those that touch something are brought up to date.
             drive: (N, 3) velocities to move with, m/s.
             spin: (N, 3) rad/s in the world frame, to turn with.
             time: At the end of the step, s.
@@ -145,14 +158,31 @@ class World:
         Returns:
             What touches now and did not before.
         """
+        scene = self._scene
+        touches: list[Touch] = []
+        if self._always or within_reach(
+            scene.obstacle_table, scene.obstacle_boxes, self._radii, states, drive, self.step_s, REACH_M
+        ):
+            self._catch_up()
+            touches = self._moved(states, drive, spin, time)
+        else:
+            self._is_behind, self._touching = True, frozenset()
+        np.copyto(self._poses, states[:, POSE])
+        return touches
+
+    def _catch_up(self) -> None:
+        """Put PyBullet's bodies where the drones are."""
+        if self._is_behind:
+            for body, pose in zip(self.bodies, self._poses.tolist(), strict=True):
+                self._bullet.resetBasePositionAndOrientation(body, pose[:3], pose[3:], self.client)
+            self._is_behind = False
+
+    def _moved(self, states: FloatArray, drive: FloatArray, spin: FloatArray, time: float) -> list[Touch]:
+        """Let PyBullet move the bodies; arguments and result as of `step`."""
         write, client = self._bullet.resetBaseVelocity, self.client
         for body, velocity, turning in zip(self.bodies, drive.tolist(), spin.tolist(), strict=True):
             write(body, velocity, turning, client)
         self._bullet.stepSimulation(client)
-        self._steps += 1
-        if self._steps % self._read_every == 0:
-            for body in self.bodies:
-                self._read_pose(body, states[self._number[body]])
         contacts = self._bullet.getContactPoints(physicsClientId=client)
         return self._touches(contacts, states, time) if contacts or self._touching else []
 
@@ -160,29 +190,25 @@ class World:
         """Read back what the contact solver may have moved, and say what touches since this step."""
         pairs, moved = set(), set()
         for contact in contacts:
-            first, second, gap = contact[1], contact[2], contact[8]
+            first, second, gap, force = contact[1], contact[2], contact[8], contact[9]
             moved.update({first, second} & self._number.keys())
-            if gap <= 0.0:
+            if gap <= 0.0 or force > 0.0:  # bodies that would meet within the step are pushed apart before it
                 pairs.add((first, second) if first in self._number else (second, first))
         for body in moved:
-            state = states[self._number[body]]
-            self._read_pose(body, state)
-            self._read_velocity(body, state)
+            self._read(body, states[self._number[body]])
         fresh = sorted(pairs - self._touching)
         self._touching = frozenset(pairs)
         return [Touch(time, self._names[body], self._names[other]) for body, other in fresh]
 
-    def _read_pose(self, body: int, state: FloatArray) -> None:
+    def _read(self, body: int, state: FloatArray) -> None:
         place, attitude = self._bullet.getBasePositionAndOrientation(body, self.client)
-        state[POSE] = place + attitude
-
-    def _read_velocity(self, body: int, state: FloatArray) -> None:
         velocity, spin = self._bullet.getBaseVelocity(body, self.client)
-        turn = np.array(self._bullet.getMatrixFromQuaternion(state[3:7])).reshape(3, 3)
-        state[VELOCITY], state[RATES] = velocity, turn.T @ np.array(spin)
+        turn = np.array(self._bullet.getMatrixFromQuaternion(attitude)).reshape(3, 3)
+        state[POSE], state[VELOCITY], state[RATES] = place + attitude, velocity, turn.T @ np.array(spin)
 
     def image(self, width: int, height: int, *, yaw: float = -45.0, pitch: float = -45.0) -> NDArray[np.uint8]:
         """A picture of the world by PyBullet's software renderer, (height, width, 3)."""
+        self._catch_up()
         lower, upper = np.array(self._scene.bounds.lower), np.array(self._scene.bounds.upper)
         reach = float(np.linalg.norm(upper - lower))
         middle = ((lower + upper) / 2).tolist()

@@ -55,11 +55,6 @@ def test_flights_repeat_to_the_last_bit(small, flown):
     np.testing.assert_array_equal(execute(*small).states, flown.states)
 
 
-def test_poses_that_are_not_read_are_the_ones_pybullet_has(small, flown, monkeypatch):
-    monkeypatch.setitem(world.World.__init__.__kwdefaults__, "read_every", 1)
-    np.testing.assert_allclose(execute(*small).states, flown.states, rtol=1e-9, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     "settings",
     [
