@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flockopt import FlockError, SettingsError, plan, reading
+from flockopt import FlockError, SettingsError, reading
 from flockopt.backends import BACKENDS
 from flockopt.families import FAMILIES
 from flockopt.plan import planner_names
@@ -28,7 +28,7 @@ from sim.journal import Journal
 from sim.movie import save_movie
 from sim.settings import FlightSettings
 from sim.summary import draw_summary, flawless, summary_text
-from sim.trial import Result, Trial
+from sim.trial import TRACKING_MARGIN_M, Result, Trial
 from sim.vehicles import VEHICLES
 from sim.world import load_pybullet
 
@@ -57,6 +57,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--time-limit", type=float, metavar="S", help="for each plan, seconds; results then vary with the machine"
     )
+    parser.add_argument(
+        "--tracking-margin", type=float, default=TRACKING_MARGIN_M, metavar="M",
+        help=f"room that plans keep for tracking errors, metres (default {TRACKING_MARGIN_M:g})",
+    )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1, help="flights side by side (default 1)")
     parser.add_argument("--backend", default="loky", help=f"where they run: {', '.join(BACKENDS)} (default loky: processes)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
@@ -125,9 +129,10 @@ def _trials(options: argparse.Namespace) -> list[Trial]:
         raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
     if options.time_limit is not None:
         reading.number(SettingsError, "time-limit", options.time_limit, above=0.0)
+    margin_m = reading.number(SettingsError, "tracking-margin", options.tracking_margin, least=0.0)
     first = Trial(
         options.family, options.drones, options.tasks, seed, options.planner, options.time_limit, flight_settings(options),
-        options.force,
+        options.force, margin_m,
     )  # fmt: skip
     first.scene()  # a family or a size that cannot be is refused before anything runs
     load_pybullet()
@@ -139,8 +144,7 @@ def _film(trials: list[Trial], results: list[Result], path: Path) -> None:
     for trial, result in zip(trials, results, strict=True):
         if result.row["contacts"] is not None:
             scene = trial.scene()
-            made = plan(scene, planner=trial.planner, time_limit_s=trial.time_limit_s, seed=trial.seed)
-            save_movie(execute(scene, made, trial.settings, force=True), path)
+            save_movie(execute(scene, trial.plan(scene), trial.settings, force=True), path)
             return
 
 

@@ -17,7 +17,7 @@ from flockopt.travel import Travel, compute_travel
 from sim.execute import Execution, execute
 from sim.settings import FlightSettings
 
-__all__ = ["COLUMNS", "TIMINGS", "Result", "Trial", "run_trial"]
+__all__ = ["COLUMNS", "TIMINGS", "TRACKING_MARGIN_M", "Result", "Trial", "run_trial"]
 
 Value: TypeAlias = str | int | float | None
 
@@ -35,6 +35,9 @@ TIMINGS = (
     "scene", "travel_s", "allocate_s", "generate_s", "bound_s", "decode_s", "deconflict_s", "certify_s", "plan_s", "flight_s",
     "measure_s", "real_time_factor", "attempts",
 )  # fmt: skip
+
+#: Room that plans keep for tracking errors unless told otherwise, metres.
+TRACKING_MARGIN_M = 0.03
 
 STAGES = ("travel", "allocate", "generate", "bound", "decode", "deconflict", "certify")
 
@@ -55,6 +58,7 @@ class Trial:
         time_limit_s: For the planner, seconds; None lets it stop by itself, the same way on every machine.
         settings: How to fly.
         force: Whether plans are flown that are not certified.
+        tracking_margin_m: Room that plans keep for tracking errors, metres.
     """
 
     family: str
@@ -65,6 +69,7 @@ class Trial:
     time_limit_s: float | None = None
     settings: FlightSettings = field(default_factory=FlightSettings)
     force: bool = False
+    tracking_margin_m: float = TRACKING_MARGIN_M
 
     @property
     def key(self) -> str:
@@ -78,6 +83,13 @@ class Trial:
             SettingsError: On an unknown family or a size it cannot have.
         """
         return generate(self.family, drones=self.drones, tasks=self.tasks, seed=self.seed)
+
+    def plan(self, scene: Scene) -> Plan:
+        """The plan to be flown in it."""
+        return plan(
+            scene, planner=self.planner, time_limit_s=self.time_limit_s, seed=self.seed,
+            tracking_margin_m=self.tracking_margin_m,
+        )  # fmt: skip
 
     def terms(self) -> dict[str, object]:
         """Everything that it shares with the other flights of a batch."""
@@ -105,7 +117,7 @@ def run_trial(trial: Trial) -> Result:
     timing: dict[str, Value] = dict.fromkeys(TIMINGS) | {"scene": trial.key, "attempts": 1}
     try:
         scene = trial.scene()
-        made = plan(scene, planner=trial.planner, time_limit_s=trial.time_limit_s, seed=trial.seed)
+        made = trial.plan(scene)
         travel = compute_travel(scene)
         row |= _plan_columns(scene, made, travel)
         timing |= {f"{stage}_s": made.timing.get(stage) for stage in STAGES} | {"plan_s": made.timing["total"]}
