@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import ModuleType, TracebackType
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from flockopt import reading
 from flockopt.errors import MissingExtra, SettingsError, SolverFailed
 from flockopt.geometry import FloatArray
-from flockopt.scene import Box, Cylinder, Obstacle, Scene
+from flockopt.scene import Box, Cylinder, Obstacle, Point, Scene
 from sim.fleet import POSE, RATES, VELOCITY
 from sim.reach import within_reach
 from sim.vehicles import Vehicle
@@ -227,6 +227,7 @@ class World:
     def _place(self, obstacle: Obstacle) -> int:
         """Put an obstacle into the world; it never moves."""
         bullet, turn = self._bullet, (0.0, 0.0, 0.0, 1.0)
+        size: dict[str, Any]
         if isinstance(obstacle, Box):
             kind, size = bullet.GEOM_BOX, {"halfExtents": [side / 2 for side in obstacle.size]}
             turn = (0.0, 0.0, math.sin(obstacle.yaw / 2), math.cos(obstacle.yaw / 2))
@@ -234,12 +235,7 @@ class World:
             kind, size = bullet.GEOM_CYLINDER, {"radius": obstacle.radius, "height": obstacle.height}
         else:
             kind, size = bullet.GEOM_SPHERE, {"radius": obstacle.radius}
-        shape = bullet.createCollisionShape(kind, **size, physicsClientId=self.client)
-        look = {"length" if key == "height" else key: value for key, value in size.items()}
-        visual = bullet.createVisualShape(kind, **look, rgbaColor=GREY, physicsClientId=self.client)
-        return bullet.createMultiBody(
-            0.0, shape, visual, obstacle.center, turn, useMaximalCoordinates=True, physicsClientId=self.client
-        )
+        return self._body(kind, size, GREY, 0.0, obstacle.center, turn)
 
     def _launch(self, index: int, vehicle: Vehicle, shape: str) -> int:
         """Put a drone at its start."""
@@ -249,19 +245,26 @@ class World:
         else:
             wide = drone.radius / math.hypot(1.0, DISC_FLATNESS)
             kind, size = bullet.GEOM_CYLINDER, {"radius": wide, "height": 2.0 * DISC_FLATNESS * wide}
-        body = bullet.createCollisionShape(kind, **size, physicsClientId=self.client)
-        look = {"length" if key == "height" else key: value for key, value in size.items()}
-        color = COLORS[index % len(COLORS)]
-        visual = bullet.createVisualShape(kind, **look, rgbaColor=color, physicsClientId=self.client)
-        number = bullet.createMultiBody(
-            vehicle.mass, body, visual, drone.start, useMaximalCoordinates=True, physicsClientId=self.client
-        )
+        body = self._body(kind, size, COLORS[index % len(COLORS)], vehicle.mass, drone.start, (0.0, 0.0, 0.0, 1.0))
         # Without the mass, setting the inertia makes the mass NaN. The same inertia about all axes keeps PyBullet from adding
         # gyroscopic torques, which are in the spin that it is given; to contacts the difference is small.
         inertia = [sum(vehicle.inertia) / 3.0] * 3
         bullet.changeDynamics(
-            number, -1, mass=vehicle.mass, localInertiaDiagonal=inertia, linearDamping=0.0, angularDamping=0.0,
+            body, -1, mass=vehicle.mass, localInertiaDiagonal=inertia, linearDamping=0.0, angularDamping=0.0,
             restitution=RESTITUTION, lateralFriction=FRICTION, activationState=bullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=self.client,
         )  # fmt: skip
+        return body
+
+    def _body(
+        self, kind: int, size: Mapping[str, Any], color: tuple[float, ...], mass: float, place: Point, turn: tuple[float, ...]
+    ) -> int:
+        """Make a body of one shape, which PyBullet numbers; a mass of 0 stays where it is."""
+        bullet = self._bullet
+        shape = bullet.createCollisionShape(kind, **size, physicsClientId=self.client)
+        look = {"length" if key == "height" else key: value for key, value in size.items()}
+        visual = bullet.createVisualShape(kind, **look, rgbaColor=color, physicsClientId=self.client)
+        number: int = bullet.createMultiBody(
+            mass, shape, visual, place, turn, useMaximalCoordinates=True, physicsClientId=self.client
+        )
         return number
