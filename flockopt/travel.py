@@ -12,7 +12,7 @@ from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray, distances
 from flockopt.scene import POSITION_TOLERANCE_M, Scene
 
-__all__ = ["END", "START", "Paths", "Travel", "compute_travel", "straight_travel"]
+__all__ = ["END", "START", "Paths", "Travel", "compute_travel", "roomy_needs", "straight_travel"]
 
 #: Names of a drone's own start and end where a task index is expected.
 START, END = -1, -2
@@ -201,6 +201,19 @@ def _pairs_on(scene: Scene, routes: Sequence[Sequence[int]]) -> NDArray[np.bool_
     return wanted
 
 
+def roomy_needs(gaps: FloatArray, need: float) -> FloatArray:
+    """How far paths keep from each obstacle, (K,) m: ``need`` and a margin that leaves room at all places.
+
+    Args:
+        gaps: (P, K) m between the places to reach and the obstacles.
+        need: What must be kept, metres.
+    """
+    least_slack = (gaps - need).min(axis=0)  # (K,)
+    margins = np.where(least_slack > 0.0, np.minimum(0.5 * least_slack, MOST_MARGIN_M), least_slack)
+    needs: FloatArray = need + margins
+    return needs
+
+
 def _fill_class(
     scene: Scene,
     travel: Travel,
@@ -222,9 +235,8 @@ def _fill_class(
     bound = np.isfinite(scene.ends[drones, 0])
     tasks = np.flatnonzero(gaps[:num_tasks].min(axis=1) >= need - POSITION_TOLERANCE_M)
     active = np.concatenate([tasks, num_tasks + drones, num_tasks + num_drones + drones[bound]])
-    least_slack = (gaps[active] - need).min(axis=0)  # (K,)
-    margins = np.where(least_slack > 0.0, np.minimum(0.5 * least_slack, MOST_MARGIN_M), least_slack)
-    roadmap = Roadmap(scene.obstacle_table, need + margins, (scene.bounds.lower, scene.bounds.upper))
+    needs = roomy_needs(gaps[active], need)
+    roadmap = Roadmap(scene.obstacle_table, needs, (scene.bounds.lower, scene.bounds.upper))
 
     wanted = np.zeros((len(active), len(active)), dtype=np.bool_)
     wanted[: len(tasks)] = True
