@@ -1,0 +1,122 @@
+"""From a scene and bundles to the arrays that a student reads, and from a way to those it learns from.
+
+A drone's anchors are its start, its tasks in order and its end if it has one. They sit at fixed samples, shared out
+in proportion to the legs' lengths; legs whose straight line is clear have little to draw and get fewer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flockopt.errors import SettingsError
+from flockopt.geometry import FloatArray
+from flockopt.scene import Scene
+from flockopt.trajectory.waypoints import leg_clear
+from learned.rollout import anchors_of
+
+__all__ = ["Example", "example", "with_ways"]
+
+#: A leg whose straight line is clear gets this share of the samples that its length would bring it.
+CLEAR_SHARE = 0.25
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Example:
+    """A scene with bundles, as arrays; with ``target`` one to learn from.
+
+    Attributes:
+        scene: The scene itself.
+        routes: Bundles.
+        leg_index: (N, T) which leg a sample lies on, 0-based; a task's sample counts to the leg that ends there.
+        leg_begin, leg_end: (N, T) the samples of that leg's anchors.
+        straight: (N, T, 3) m, samples along the straight legs.
+        blocked: (N, T) whether the straight line of the sample's leg is blocked.
+        target: (N, T, 3) m, samples of the way to learn, its anchors at the same places as ``straight``'s; or None.
+        teaches_allocation: Whether the bundles are worth imitating; those of hard scenes are drawn at random.
+    """
+
+    scene: Scene
+    routes: tuple[tuple[int, ...], ...]
+    leg_index: IntArray
+    leg_begin: IntArray
+    leg_end: IntArray
+    straight: FloatArray
+    blocked: NDArray[np.bool_]
+    target: FloatArray | None = None
+    teaches_allocation: bool = True
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """(N,), m in the paper: drones that go anywhere."""
+        return self.leg_end.max(axis=1) > 0
+
+
+def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64) -> Example:
+    """The arrays of a scene with bundles.
+
+    Raises:
+        SettingsError: If a drone has more anchors than samples.
+    """
+    shape = (scene.num_drones, num_samples)
+    leg_index, leg_begin, leg_end = (np.zeros(shape, dtype=np.int64) for _ in range(3))
+    straight = np.repeat(scene.starts[:, None], num_samples, axis=1)
+    blocked = np.zeros(shape, dtype=np.bool_)
+    for drone, route in enumerate(routes):
+        anchors = anchors_of(scene, drone, route)
+        if len(anchors) < 2:
+            continue
+        if len(anchors) > num_samples:
+            rule = f"a drone has at most {num_samples - 1} legs"
+            raise SettingsError(
+                f"bundles[{drone}]", f"makes {len(anchors) - 1} legs", rule, "spread the tasks over more drones"
+            )
+        is_blocked = np.array([not leg_clear(scene, drone, leg) for leg in np.stack([anchors[:-1], anchors[1:]], axis=1)])
+        lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1)
+        places = _anchor_places(lengths * np.where(is_blocked, 1.0, CLEAR_SHARE), num_samples)
+        legs = np.clip(np.searchsorted(places, np.arange(num_samples)) - 1, 0, None)  # (T,)
+        leg_index[drone], leg_begin[drone], leg_end[drone] = legs, places[legs], places[legs + 1]
+        phase = (np.arange(num_samples) - places[legs]) / (places[legs + 1] - places[legs])
+        straight[drone] = anchors[legs] + phase[:, None] * (anchors[legs + 1] - anchors[legs])
+        straight[drone, places] = anchors
+        blocked[drone] = is_blocked[legs]
+    return Example(scene, tuple(tuple(route) for route in routes), leg_index, leg_begin, leg_end, straight, blocked)
+
+
+def _anchor_places(weights: FloatArray, num_samples: int) -> IntArray:
+    """The samples of the anchors: rising from the first to the last, spaced by the legs' weights."""
+    ideal = np.concatenate([[0.0], np.cumsum(weights)]) / max(float(weights.sum()), 1e-9) * (num_samples - 1)
+    places = np.round(ideal).astype(np.int64)
+    ranks = np.arange(len(places))
+    places = np.maximum.accumulate(places - ranks) + ranks
+    return np.minimum(places, num_samples - len(places) + ranks)
+
+
+def with_ways(base: Example, legs: Sequence[Sequence[FloatArray]], *, teaches_allocation: bool = True) -> Example:
+    """The example with ways as its target: for each drone the polylines (V, 3) m of its legs.
+
+    Where the straight line is clear there is nothing to learn: the target is that line.
+    """
+    target = base.straight.copy()
+    for drone, ways in enumerate(legs):
+        for leg, way in enumerate(ways):
+            at = np.flatnonzero(base.leg_index[drone] == leg)[-1]
+            first, last = base.leg_begin[drone, at], base.leg_end[drone, at]
+            if base.blocked[drone, at]:
+                target[drone, first : last + 1] = _resampled(way, int(last - first))
+    return replace(base, target=target, teaches_allocation=teaches_allocation)
+
+
+def _resampled(way: FloatArray, num_parts: int) -> FloatArray:
+    """(num_parts + 1, 3) m: a polyline (V, 3) at equal distances along it."""
+    lengths = [math.dist(p, q) for p, q in pairwise(way)]
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    wanted = np.linspace(0.0, along[-1], num_parts + 1)
+    return np.stack([np.interp(wanted, along, way[:, axis]) for axis in range(3)], axis=1)

@@ -1,0 +1,104 @@
+"""What the student minimises: the paper's two terms, and in fine-tuning a penalty on ways that come too near."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from flockopt import reading
+from flockopt.errors import SettingsError
+from learned.student.batch import NOTHING, FleetBatch, Ways
+from learned.student.diffusion import add_noise
+from learned.student.model import Student
+from learned.student.obstacle_distance import signed_distance
+
+__all__ = ["LossWeights", "StudentLoss", "allocation_loss", "clearance_loss", "detour_weights", "diffusion_loss"]
+
+#: The room that the penalty asks for beyond what is required, as a share of radius + clearance.
+MARGIN = 0.3
+
+
+def allocation_loss(log_probs: Tensor, assignment: Tensor, teaches: Tensor) -> Tensor:
+    """The paper's L_alloc: cross-entropy (B, M, N) against drones (B, M), a mean over tasks of scenes (B,) that teach."""
+    counted = (assignment != NOTHING) & teaches[:, None]
+    picked = log_probs.gather(2, assignment.clamp(min=0)[..., None])[..., 0]
+    return -torch.where(counted, picked, torch.zeros_like(picked)).sum() / counted.sum().clamp(min=1)
+
+
+def diffusion_loss(denoised: Tensor, clean: Tensor, weights: Tensor) -> Tensor:
+    """The paper's L_diff: squared error (B, N, T, 3) summed over xyz, a mean over samples of active drones.
+
+    ``weights`` (B, N) are m in the paper: 1 for active drones, 0 for others; values between count as much.
+    """
+    squares = (denoised - clean).square().sum(dim=-1).mean(dim=-1)  # (B, N)
+    total = weights.sum()
+    return (squares * weights).sum() / torch.where(total > 0, total, torch.ones_like(total))
+
+
+def detour_weights(clean: Tensor, active: Tensor) -> Tensor:
+    """(B, N): less weight for wide detours (B, N, T, 3), whose errors would drown those of near misses."""
+    return active / (1.0 + clean.square().mean(dim=(2, 3)))
+
+
+def clearance_loss(ways: Ways, points: Tensor) -> Tensor:
+    """How far points (B, N, T, 3) m and the middles between them intrude on the room they should keep.
+
+    Intrusions are squared, in units of radius + clearance, and averaged over samples of blocked legs.
+    """
+    middles = (points[:, :, 1:] + points[:, :, :-1]) / 2
+    blocked = ways.blocked & ways.active[..., None]
+    where = torch.cat([blocked, blocked[:, :, 1:]], dim=2)  # (B, N, 2 T - 1); a middle counts to the later sample's leg
+    dense = torch.cat([points, middles], dim=2)
+    gaps = signed_distance(ways.obstacles[:, None, None], dense[..., None, :]).amin(dim=-1)
+    need = ways.needs[..., None]
+    outside = torch.maximum(ways.lower[:, None, None] - dense, dense - ways.upper[:, None, None]).amax(dim=-1)
+    intrusion = torch.relu((1.0 + MARGIN) - gaps / need) + torch.relu(outside / need)
+    return (intrusion.square() * where).sum() / where.sum().clamp(min=1)
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """The paper's lambdas, and that of the clearance penalty."""
+
+    allocation: float = 1.0
+    diffusion: float = 1.0
+    clearance: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in ("allocation", "diffusion", "clearance"):
+            reading.number(SettingsError, field, getattr(self, field), least=0.0)
+
+
+class StudentLoss(nn.Module):
+    """The whole loss as one module, so that it can be trained in parallel.
+
+    A student without fleet attention learns from the drones whose straight way is blocked: the others have nothing
+    to draw, and at inference they are not asked.
+    """
+
+    def __init__(self, student: Student) -> None:
+        super().__init__()
+        self.student = student
+
+    def forward(self, batch: FleetBatch, weights: LossWeights, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss, and its terms by name. Noise and its levels come from ``generator``, on the CPU."""
+        student = self.student
+        tokens = student.encoder(batch)
+        log_probs = student.allocate(batch, tokens)
+        terms = {"allocation": allocation_loss(log_probs, batch.assignment, batch.teaches_allocation)}
+        chosen = None if student.settings.fleet_attention else batch.ways.active & batch.ways.blocked.any(dim=-1)
+        ways, conditions = student.condition(batch, chosen, tokens)
+        clean = student.clean_samples(ways)
+        device, levels = clean.device, student.settings.num_noise_levels
+        noise = torch.randn(clean.shape, generator=generator).to(device)
+        level = torch.randint(1, levels + 1, (len(clean),), generator=generator).to(device)
+        denoised = student.denoiser(add_noise(clean, noise, level, levels), level, conditions).float()
+        weights_of_drones = detour_weights(clean, ways.active) if student.settings.frame == "leg" else ways.active.float()
+        terms["diffusion"] = diffusion_loss(denoised, clean, weights_of_drones)
+        if weights.clearance > 0.0:
+            terms["clearance"] = clearance_loss(ways, student.points(ways, denoised))
+        return sum(getattr(weights, name) * term for name, term in terms.items()), {
+            name: term.detach() for name, term in terms.items()
+        }

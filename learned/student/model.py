@@ -1,0 +1,79 @@
+"""The student as a whole: scene tokens, allocation, conditions, and trajectories in its own coordinates."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+
+from learned.student.allocation_head import AttentionHead, ProductHead
+from learned.student.batch import FleetBatch, Ways
+from learned.student.bundle_encoder import BundleEncoder
+from learned.student.denoiser import Conditions, Denoiser
+from learned.student.diffusion import ddim
+from learned.student.leg_frame import leg_frames, num_sample_features, sample_features, to_points, to_residuals
+from learned.student.scene_encoder import SceneEncoder, SceneTokens
+from learned.student.settings import StudentSettings
+
+__all__ = ["Student"]
+
+
+class Student(nn.Module):
+    """FlockDiffusion's student in one of the configurations of `learned.student.settings.CONFIGS`."""
+
+    #: (3,), what clean samples are divided by: their root mean square over the training data, kept with the weights.
+    spread: Tensor
+
+    def __init__(self, settings: StudentSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        width = settings.width
+        self.encoder = SceneEncoder(settings.hidden, settings.rounds, width)
+        self.head = AttentionHead(width, settings.heads) if settings.head == "attention" else ProductHead(width)
+        self.bundle_encoder = BundleEncoder(width)
+        nearest = settings.nearest_obstacles
+        self.denoiser = Denoiser(settings, num_sample_features(nearest) if nearest else 0)
+        self.register_buffer("spread", torch.ones(3))
+
+    def allocate(self, batch: FleetBatch, tokens: SceneTokens | None = None) -> Tensor:
+        """(B, M, N) log-probabilities: for every task, over drones."""
+        return self.head(batch, self.encoder(batch) if tokens is None else tokens)
+
+    def condition(
+        self, batch: FleetBatch, chosen: Tensor | None = None, tokens: SceneTokens | None = None
+    ) -> tuple[Ways, Conditions]:
+        """What the denoiser needs to know for all drones, or for the ``chosen`` (B, N) as scenes of their own.
+
+        Only a student without fleet attention can tell drones apart from their fleet.
+        """
+        tokens = self.encoder(batch) if tokens is None else tokens
+        legs, drones = self.bundle_encoder(batch, tokens)  # (B, N, R + 1, D), (B, N, D)
+        ways = batch.ways
+        if chosen is not None:
+            ways, legs, drones = ways.rows(chosen), legs[chosen][:, None], drones[chosen][:, None]
+        index = ways.leg_index[..., None].expand(-1, -1, -1, legs.shape[-1])
+        nearest = self.settings.nearest_obstacles
+        features = sample_features(ways, leg_frames(ways), nearest) if nearest else None
+        fleet = self.settings.fleet_attention
+        scene, mask = (tokens.all, tokens.mask) if fleet else (None, None)
+        return ways, Conditions(drones, legs.gather(2, index), features, scene, mask, ways.active)
+
+    def clean_samples(self, ways: Ways) -> Tensor:
+        """(B, N, T, 3): the targets in the student's own coordinates."""
+        if ways.target is None:
+            raise ValueError("these ways have no target")
+        if self.settings.frame == "leg":
+            return to_residuals(ways, leg_frames(ways), ways.target) / self.spread
+        return ways.scaled(ways.target) / self.spread
+
+    def points(self, ways: Ways, samples: Tensor) -> Tensor:
+        """(B, N, T, 3) m: the inverse of `clean_samples`; in the legs' frames, anchors are exact."""
+        if self.settings.frame == "leg":
+            return to_points(ways, leg_frames(ways), samples * self.spread)
+        return ways.unscaled(samples * self.spread)
+
+    def sample(self, ways: Ways, conditions: Conditions, noise: Tensor, steps: int) -> Tensor:
+        """(B, N, T, 3) m: trajectories from noise by DDIM."""
+        denoise = partial(self.denoiser, conditions=conditions)
+        return self.points(ways, ddim(denoise, noise, steps, self.settings.num_noise_levels))

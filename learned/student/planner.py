@@ -1,0 +1,114 @@
+"""The planners that the student registers: ``learned`` and ``hybrid``.
+
+``learned`` is the network's answer: its head's probabilities refined to bundles, its denoiser's samples as control points;
+it searches no paths, and where a leg comes out blocked the pipeline's decoder mends it. ``hybrid`` searches bundles from
+the head's probabilities and as the classical planner does, keeps the better ones, and hands over to the classical planner
+where a clause of the certificate fails.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flockopt.allocate.refine import refine_bundles
+from flockopt.bundles import Bundles
+from flockopt.errors import MissingExtra, SettingsError
+from flockopt.geometry import FloatArray
+from flockopt.plan import Proposal, Request, classical
+from flockopt.scene import Scene
+
+if TYPE_CHECKING:
+    from learned.student.model import Student
+
+__all__ = ["WEIGHTS", "hybrid", "learned", "shipped_student"]
+
+#: The weights that come with the package.
+WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "student-small.safetensors"
+
+#: Iterations of the search that refines the head's probabilities: enough to mend what capacities break.
+REFINING_ITERATIONS = 100
+
+#: DDIM steps, and how many tries of each leg there are to choose from.
+STEPS, TRIES = 2, 4
+
+#: What the head's and the denoiser's part of a time limit leaves to the search, for each of the two searches.
+SEARCH_SHARE = 0.45
+
+
+@cache
+def shipped_student(path: Path = WEIGHTS) -> Student:
+    """The student whose weights come with the package, loaded once.
+
+    Raises:
+        SettingsError: If the weights are missing or damaged.
+        MissingExtra: If torch or safetensors is not installed.
+    """
+    try:
+        from learned.student.checkpoint import load_student
+    except ImportError as fault:
+        raise MissingExtra(fault.name or "torch", "learned") from None
+    return load_student(path)
+
+
+def learned(request: Request) -> Proposal:
+    """The network's bundles and flights."""
+    student, scene = shipped_student(), request.scene
+    began = perf_counter()
+    probabilities = _probabilities(student, scene)
+    headed = perf_counter()
+    bundles = refine_bundles(
+        scene, probabilities, travel=request.travel, iterations=REFINING_ITERATIONS, time_limit_s=request.time_limit_s,
+        seed=request.seed,
+    )  # fmt: skip
+    refined = perf_counter()
+    samples = None if bundles.status == "infeasible" else _samples(student, scene, bundles, request.seed)
+    timing = {"head": headed - began, "refine": refined - headed, "generate": perf_counter() - refined}
+    return Proposal(bundles, samples, timing)
+
+
+def hybrid(request: Request) -> Proposal:
+    """The better of two searches, one of them guided by the network, and the network's flights; else the classical plan."""
+    student, scene = shipped_student(), request.scene
+    began = perf_counter()
+    probabilities = _probabilities(student, scene)
+    headed = perf_counter()
+    share_s = None if request.time_limit_s is None else SEARCH_SHARE * request.time_limit_s
+    settings = {"travel": request.travel, "time_limit_s": share_s, "seed": request.seed}
+    found = [refine_bundles(scene, **settings)]  # type: ignore[arg-type]
+    if probabilities is not None:
+        found.append(refine_bundles(scene, probabilities, **settings))  # type: ignore[arg-type]
+    best = min(found, key=lambda bundles: (len(bundles.unserved), request.travel.total(bundles.routes)))
+    searched = perf_counter()
+    samples = None if best.status == "infeasible" else _samples(student, scene, best, request.seed)
+    timing = {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
+    return Proposal(best, samples, timing, otherwise=classical)
+
+
+def _probabilities(student: Student, scene: Scene) -> FloatArray | None:
+    """(N, M) the head's probabilities; None without tasks, or where they are not finite."""
+    from learned.student.batch import collate
+    from learned.student.examples import example
+    from learned.student.inference import task_probabilities
+
+    if not scene.num_tasks:
+        return None
+    (probabilities,) = task_probabilities(student, collate([example(scene, [()] * scene.num_drones)]))
+    return probabilities if np.isfinite(probabilities).all() else None
+
+
+def _samples(student: Student, scene: Scene, bundles: Bundles, seed: int) -> FloatArray | None:
+    """(N, T, 3) m; None where a drone has more legs than the student has samples: then the paths are flown."""
+    from learned.student.examples import example
+    from learned.student.inference import draw
+
+    try:
+        base = example(scene, bundles.routes, student.settings.num_samples)
+    except SettingsError:
+        return None
+    (drawing,) = draw(student, [base], steps=STEPS, tries=TRIES, seed=seed)
+    return drawing.samples

@@ -1,0 +1,171 @@
+"""Loss, schedule and DDIM against references; training that learns, resumes exactly, and refuses what is not its own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from flockopt import SettingsError  # noqa: E402 - torch may be missing
+from flockopt.trajectory.waypoints import leg_clear  # noqa: E402
+from learned.demonstration_scenes import SceneMix  # noqa: E402
+from learned.demonstrations import DemonstrationSettings, write_demonstrations  # noqa: E402
+from learned.student import train  # noqa: E402
+from learned.student.batch import collate  # noqa: E402
+from learned.student.checkpoint import load_student  # noqa: E402
+from learned.student.dataset import scene_of  # noqa: E402
+from learned.student.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
+from learned.student.loss import allocation_loss, clearance_loss, diffusion_loss  # noqa: E402
+from learned.student.train import Trainer  # noqa: E402
+from learned.student.training_settings import TrainingSettings  # noqa: E402
+from tests.student_scenes import TINY, taught_example  # noqa: E402
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    """The configurations made tiny."""
+    monkeypatch.setattr(train, "CONFIGS", TINY)
+
+
+@pytest.fixture(scope="module")
+def demonstrations(tmp_path_factory):
+    """A folder with some demonstrations."""
+    folder = tmp_path_factory.mktemp("demonstrations")
+    write_demonstrations(folder, 6, DemonstrationSettings(SceneMix(family="forest", usual_share=1.0), seed=3))
+    return folder
+
+
+def test_allocation_loss_by_hand():
+    log_probs = torch.tensor([[[0.5, 0.5], [0.2, 0.8], [0.9, 0.1]], [[0.3, 0.7]] * 3]).log()
+    assignment = torch.tensor([[0, 1, -1], [0, 0, 0]])
+    expected = -(np.log(0.5) + np.log(0.8)) / 2  # the third task is nobody's, the second scene teaches nothing
+    assert float(allocation_loss(log_probs, assignment, torch.tensor([True, False]))) == pytest.approx(expected)
+
+
+def test_diffusion_loss_by_hand():
+    denoised, clean = torch.zeros(1, 3, 2, 3), torch.zeros(1, 3, 2, 3)
+    denoised[0, 0] = 1.0  # 3 a sample
+    denoised[0, 1, 0, 2] = 2.0  # 4 in one of two samples
+    denoised[0, 2] = 99.0  # an inactive drone
+    assert float(diffusion_loss(denoised, clean, torch.tensor([[1.0, 1.0, 0.0]]))) == pytest.approx((3.0 + 2.0) / 2)
+    assert float(diffusion_loss(denoised, clean, torch.zeros(1, 3))) == 0.0
+
+
+def test_clearance_loss_is_zero_on_roomy_ways_and_not_on_straight_ones():
+    batch = collate([taught_example("forest", drones=5, tasks=10, seed=1)])
+    assert bool(batch.ways.blocked.any())
+    straight, roomy = (float(clearance_loss(batch.ways, points)) for points in (batch.ways.straight, batch.ways.target))
+    assert straight > 10.0 * roomy
+    below = batch.ways.target.clone()
+    below[..., 2] = -1.0
+    assert float(clearance_loss(batch.ways, below)) > 1.0
+
+
+def test_schedule_and_ddim_are_those_of_diffusers():
+    diffusers = pytest.importorskip("diffusers")
+    scheduler = diffusers.DDIMScheduler(
+        num_train_timesteps=1000, beta_schedule="squaredcos_cap_v2", prediction_type="sample", clip_sample=False,
+        timestep_spacing="trailing", set_alpha_to_one=True,
+    )  # fmt: skip
+    assert torch.allclose(signal_levels(1000)[1:], scheduler.alphas_cumprod, atol=1e-6)
+    generator = torch.Generator().manual_seed(0)
+    noise, clean = torch.randn(2, 8, 3, generator=generator), torch.randn(2, 8, 3, generator=generator)
+    levels = torch.tensor([1, 700])
+    expected = scheduler.add_noise(clean, noise, levels - 1)
+    assert torch.allclose(add_noise(clean, noise, levels, 1000), expected, atol=1e-6)
+
+    def denoise(noisy, level):
+        return torch.tanh(noisy) * (1.0 + level.view(-1, 1, 1) / 1000)
+
+    for steps in (1, 2, 5, 10):
+        scheduler.set_timesteps(steps)
+        assert [level - 1 for level in noise_levels(steps, 1000)[:-1]] == scheduler.timesteps.tolist()
+        sample = noise
+        for timestep in scheduler.timesteps:
+            level = torch.full((len(noise),), int(timestep) + 1)
+            sample = scheduler.step(denoise(sample, level), timestep, sample, eta=0.0).prev_sample
+        assert torch.allclose(ddim(denoise, noise, steps, 1000), sample, atol=1e-4)
+
+
+@pytest.mark.parametrize("steps", [0, 1001, 2.5])
+def test_bad_numbers_of_steps_are_named(steps):
+    with pytest.raises(SettingsError, match="steps"):
+        noise_levels(steps, 1000)
+
+
+@pytest.mark.parametrize("config", tuple(TINY))
+def test_a_tiny_network_overfits_eight_scenes(config, tiny, monkeypatch):
+    examples = [taught_example("forest", drones=2, tasks=4, seed=seed) for seed in range(8)]
+    settings = TrainingSettings(config, steps=60, scenes_per_step=8, learning_rate=1e-2, warmup_steps=10, clearance_weight=0.0)
+    trainer = Trainer(settings, examples)
+    monkeypatch.setattr(train.FleetBatch, "mirrored", lambda batch, generator: batch)  # eight scenes, not sixty-four
+    losses = [trainer.advance() for _ in range(settings.steps)]
+    first, last = ({name: np.mean([one[name] for one in part]) for name in losses[0]} for part in (losses[:10], losses[-10:]))
+    assert last["allocation"] < 0.6 * first["allocation"]
+    assert last["diffusion"] < 0.6 * first["diffusion"]
+
+
+def test_demonstrations_become_valid_examples(demonstrations):
+    from learned.shards import load_demonstrations
+
+    for demonstration in load_demonstrations(demonstrations):
+        one = train.example_of(demonstration, 64)
+        assert np.allclose(scene_of(demonstration).obstacle_table, demonstration.obstacles)
+        assert one.teaches_allocation is not demonstration.hard
+        blocked = {drone for drone in np.flatnonzero(one.active) if one.blocked[drone].any()}
+        for drone in np.flatnonzero(one.active):
+            assert leg_clear(one.scene, drone, one.target[drone]) or drone in blocked
+        assert not demonstration.hard or blocked
+
+
+def run(demonstrations, out, *options):
+    return train.main(["--data", str(demonstrations), "--out", str(out), "--scenes-per-step", "2", *options])
+
+
+def test_a_run_that_is_stopped_ends_with_the_same_weights(demonstrations, tmp_path, tiny, monkeypatch):
+    monkeypatch.setattr(train, "CHECKPOINT_STEPS", 3)
+    settings = ("--steps", "6", "--clearance-from", "0.5")
+    assert run(demonstrations, tmp_path / "whole", *settings) == 0
+    advance = Trainer.advance
+    with monkeypatch.context() as patch:
+
+        def stopping(self):
+            if self.step == 4:
+                raise KeyboardInterrupt
+            return advance(self)
+
+        patch.setattr(Trainer, "advance", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            run(demonstrations, tmp_path / "stopped", *settings)
+    assert run(demonstrations, tmp_path / "stopped", *settings) == 0
+    whole, stopped = (load_student(tmp_path / name / "student.safetensors").state_dict() for name in ("whole", "stopped"))
+    assert all(torch.equal(value, stopped[name]) for name, value in whole.items())
+    assert list((tmp_path / "whole" / "log").glob("events*"))
+
+
+def test_a_folder_with_another_run_is_refused(demonstrations, tmp_path, tiny, capsys):
+    assert run(demonstrations, tmp_path, "--steps", "1") == 0
+    assert run(demonstrations, tmp_path, "--steps", "2") == 2
+    assert "out" in capsys.readouterr().err
+
+
+def test_missing_data_is_named(tmp_path, capsys):
+    assert run(tmp_path / "nowhere", tmp_path / "out", "--steps", "1") == 2
+    assert "nowhere" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("config", "big"), ("steps", 0), ("learning_rate", float("nan")), ("ema_decay", 1.5), ("precision", "int8")],
+)
+def test_bad_training_settings_are_named(field, value):
+    with pytest.raises(SettingsError, match=field):
+        TrainingSettings(**{field: value})
+
+
+def test_the_clearance_penalty_begins_with_fine_tuning():
+    settings = dataclasses.replace(TrainingSettings(), steps=10, clearance_from=0.5)
+    assert [settings.loss_weights(step).clearance > 0.0 for step in (0, 4, 5, 9)] == [False, False, True, True]
