@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.metadata import entry_points
 from time import perf_counter
+from typing import TypeAlias
 
 import numpy as np
 
@@ -72,14 +74,16 @@ class Proposal:
         bundles: Which drone visits which tasks in which order.
         samples: (N, T, 3) m, control points of the flights, or None to follow the any-angle paths.
         timing: Seconds the planner spent, by stage.
+        otherwise: Who is asked where no certified plan comes of this proposal; what that took is the stage ``fallback``.
     """
 
     bundles: Bundles
     samples: FloatArray | None = None
     timing: dict[str, float] = field(default_factory=dict)
+    otherwise: Planner | None = None
 
 
-Planner = Callable[[Request], Proposal]
+Planner: TypeAlias = "Callable[[Request], Proposal]"
 
 
 def classical(request: Request) -> Proposal:
@@ -151,12 +155,26 @@ def plan(
         travel = compute_travel(scene)
     with clock.stage("allocate", 0.1):
         left = None if time_limit_s is None else max(ALLOCATION_SHARE * (time_limit_s - clock.total), LEAST_ALLOCATION_S)
-        proposal = propose(Request(scene, travel, left, seed))
-    bundles = proposal.bundles
+        request = Request(scene, travel, left, seed)
+        proposal = propose(request)
     clock.seconds.update({"generate": 0.0, **proposal.timing})
+    finish = partial(_finish, request, planner, bound=bound, smoothing=smoothing, margin_m=margin_m)
+    result = finish(proposal, clock)
+    if result.status != "certified" and proposal.otherwise is not None:
+        with clock.stage("fallback", 0.95):
+            other = finish(proposal.otherwise(request), _Clock(None))
+        result = other if other.status == "certified" else result
+    return replace(result, timing=clock.timing())
+
+
+def _finish(
+    request: Request, planner: str, proposal: Proposal, clock: _Clock, *, bound: str, smoothing: bool, margin_m: float
+) -> Plan:
+    """A proposal made a plan, and judged."""
+    scene, travel, bundles = request.scene, request.travel, proposal.bundles
     draft = draft_plan(scene, planner, bundles)
     if bundles.status == "infeasible":
-        return replace(draft, status="infeasible", reason=bundles.reason, timing=clock.timing())
+        return replace(draft, status="infeasible", reason=bundles.reason)
     with clock.stage("bound", 0.5):
         proof = lower_bound(scene, travel, bound=bound, upper=travel.total(bundles.routes))
     for clearance_m, separation_m in margins(margin_m):
@@ -173,8 +191,7 @@ def plan(
             certificate = certify(scene, draft, travel=travel, bound=proof)
         if certificate.certified:
             break
-    status = "certified" if certificate.certified else "uncertified"
-    return replace(draft, status=status, certificate=certificate, timing=clock.timing())
+    return replace(draft, status="certified" if certificate.certified else "uncertified", certificate=certificate)
 
 
 def _check_settings(time_limit_s: float | None, seed: int, bound: str) -> None:
