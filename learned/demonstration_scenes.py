@@ -19,7 +19,8 @@ from flockopt.bundles import Bundles
 from flockopt.errors import SettingsError
 from flockopt.families import FAMILIES, generate
 from flockopt.scene import Box, Cylinder, Obstacle, Scene, Sphere
-from flockopt.travel import Travel, straight_travel
+from flockopt.trajectory.waypoints import leg_clear
+from learned.rollout import anchors_of
 
 __all__ = ["SceneMix", "blocked_routes", "draw_scene", "random_bundles"]
 
@@ -35,9 +36,6 @@ SHAPES_SHARE = 0.4
 
 #: Random bundles tried for a hard scene; those with the most blocked routes are kept.
 HARD_TRIES = 4
-
-#: A leg is blocked where the way around is longer than the straight line by this, metres.
-DETOUR_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ def _reshaped(rng: np.random.Generator, obstacle: Obstacle) -> Obstacle:
     return Box(obstacle.id, obstacle.center, sides, float(rng.uniform(-math.pi / 2, math.pi / 2)))
 
 
-def random_bundles(scene: Scene, travel: Travel, seed: int) -> Bundles:
+def random_bundles(scene: Scene, seed: int) -> Bundles:
     """Bundles drawn at random within capacities; of a few, those with the most blocked routes."""
     rng = np.random.default_rng([seed, 1])
     slots = np.repeat(np.arange(scene.num_drones), scene.capacities.astype(np.int64))
@@ -134,14 +132,13 @@ def random_bundles(scene: Scene, travel: Travel, seed: int) -> Bundles:
         drones = rng.permutation(slots)[: scene.num_tasks]
         order = rng.permutation(scene.num_tasks)
         bundles = Bundles(tuple(tuple(order[drones == drone].tolist()) for drone in range(scene.num_drones)))
-        num_blocked = int(blocked_routes(scene, travel, bundles).sum())
+        num_blocked = int(blocked_routes(scene, bundles).sum())
         if num_blocked > most:
             best, most = bundles, num_blocked
     return best
 
 
-def blocked_routes(scene: Scene, travel: Travel, bundles: Bundles) -> NDArray[np.bool_]:
-    """Whether a drone's route is longer than its straight lines, (N,)."""
-    straight = straight_travel(scene)
-    detours = [travel.route_length(drone, route) - straight.route_length(drone, route) for drone, route in enumerate(bundles)]
-    return np.array(detours) > DETOUR_M
+def blocked_routes(scene: Scene, bundles: Bundles) -> NDArray[np.bool_]:
+    """Whether an obstacle is in the way of a drone that flies its route straight, (N,)."""
+    straight = (anchors_of(scene, drone, route) for drone, route in enumerate(bundles))
+    return np.array([not leg_clear(scene, drone, anchors) for drone, anchors in enumerate(straight)])

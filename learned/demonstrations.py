@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -24,10 +24,11 @@ from flockopt.families import FAMILIES
 from flockopt.progress_bar import ProgressBar
 from flockopt.run_folder import RunFolder
 from flockopt.scene import Scene
-from flockopt.travel import Travel, compute_travel
+from flockopt.travel import Travel
 from learned.demonstration_scenes import SceneMix, draw_scene, random_bundles
 from learned.rollout import NUM_SAMPLES, roll_out
 from learned.shards import load_demonstrations, pack, read_shard, shard_path, write_shard
+from learned.ways import ANY_ANGLE, PATHS, Ways, find_ways
 
 __all__ = ["TEACHERS", "DemonstrationSettings", "load_demonstrations", "main", "make_shard", "write_demonstrations"]
 
@@ -59,6 +60,7 @@ class DemonstrationSettings:
         mix: The scenes.
         seed: Of the first scene; the others follow.
         teacher: One of `TEACHERS`.
+        paths: One of `learned.ways.PATHS`.
         num_samples: T.
 
     Raises:
@@ -68,14 +70,17 @@ class DemonstrationSettings:
     mix: SceneMix = field(default_factory=SceneMix)
     seed: int = 0
     teacher: str = "search"
+    paths: str = ANY_ANGLE
     num_samples: int = NUM_SAMPLES
 
     def __post_init__(self) -> None:
         reading.integer(SettingsError, "seed", self.seed, least=0)
         reading.integer(SettingsError, "num_samples", self.num_samples, least=2)
-        if self.teacher not in TEACHERS:
-            rule = f"must be one of {', '.join(TEACHERS)}"
-            raise SettingsError("teacher", f"is {reading.shown(self.teacher)}", rule, "choose one")
+        for field_name, value, known in (("teacher", self.teacher, tuple(TEACHERS)), ("paths", self.paths, PATHS)):
+            if value not in known:
+                raise SettingsError(
+                    field_name, f"is {reading.shown(value)}", f"must be one of {', '.join(known)}", "choose one"
+                )
 
     def terms(self) -> dict[str, Any]:
         """What shards of one folder share."""
@@ -84,16 +89,25 @@ class DemonstrationSettings:
 
 def make_shard(settings: DemonstrationSettings, seeds: Sequence[int]) -> dict[str, Any]:
     """The arrays of the demonstrations for these scenes."""
-    drawn = [draw_scene(settings.mix, seed) for seed in seeds]
-    travels = [compute_travel(scene.replace(clearance=scene.clearance + settings.mix.margin)) for scene, _ in drawn]
-    cases = [(scene, travel, seed) for (scene, is_hard), travel, seed in zip(drawn, travels, seeds, strict=True) if not is_hard]
-    taught = iter(TEACHERS[settings.teacher](*(list(column) for column in zip(*cases, strict=True))) if cases else ())
+    scenes, are_hard = zip(*(draw_scene(settings.mix, seed) for seed in seeds), strict=True)
+    roomier = [scene.replace(clearance=scene.clearance + settings.mix.margin) for scene in scenes]
+    taught = [index for index, is_hard in enumerate(are_hard) if not is_hard]
+    ways = {index: find_ways(roomier[index], settings.paths) for index in taught}
+    bundles = dict(zip(taught, _taught(settings.teacher, scenes, ways, seeds), strict=True))
     rows = []
-    for (scene, is_hard), travel, seed in zip(drawn, travels, seeds, strict=True):
-        bundles = random_bundles(scene, travel, seed) if is_hard else next(taught)
-        rollout = roll_out(scene, bundles, travel.path, settings.num_samples)
-        rows.append((seed, scene.name.split("-")[0], is_hard, scene, bundles, rollout))
+    for index, (scene, is_hard, seed) in enumerate(zip(scenes, are_hard, seeds, strict=True)):
+        chosen = random_bundles(roomier[index], seed) if is_hard else bundles[index]
+        way = find_ways(roomier[index], settings.paths, routes=chosen.routes) if is_hard else ways[index]
+        rollout = roll_out(scene, chosen, way.leg, settings.num_samples)
+        rows.append((seed, scene.name.split("-")[0], is_hard, scene, chosen, rollout))
     return pack(rows)
+
+
+def _taught(teacher: str, scenes: Sequence[Scene], ways: Mapping[int, Ways], seeds: Sequence[int]) -> list[Bundles]:
+    """What a teacher makes of those of the scenes that it has ways for."""
+    if not ways:
+        return []
+    return TEACHERS[teacher]([scenes[index] for index in ways], [way.travel for way in ways.values()], [seeds[i] for i in ways])
 
 
 def write_demonstrations(
@@ -185,6 +199,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--scenes", type=int, default=20000, help="how many (default 20000)")
     parser.add_argument("--seed", type=int, default=0, help="of the first scene; the others follow (default 0)")
     parser.add_argument("--teacher", default="search", help=f"who makes the bundles: {', '.join(TEACHERS)} (default search)")
+    parser.add_argument("--paths", default=ANY_ANGLE, help=f"what legs are: {', '.join(PATHS)} (default {ANY_ANGLE})")
     parser.add_argument("--family", default=mix.family, help=f"{', '.join(FAMILIES)} or all (default all)")
     parser.add_argument("--hard", type=float, default=mix.hard_share, metavar="SHARE", help="of hard scenes (default 0.5)")
     parser.add_argument(
@@ -207,7 +222,7 @@ def _run(options: argparse.Namespace) -> None:
     scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
     jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
     mix = SceneMix(options.family, options.hard, options.usual, options.margin)
-    settings = DemonstrationSettings(mix, options.seed, options.teacher, options.samples)
+    settings = DemonstrationSettings(mix, options.seed, options.teacher, options.paths, options.samples)
     if options.backend not in BACKENDS:
         raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
     bars: list[ProgressBar] = []

@@ -7,10 +7,9 @@ bundle knows the places of its anchors before there is a path. Along each leg sa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +19,12 @@ from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import END, START
+from learned.ways import LegPlanner
 
-__all__ = ["NUM_SAMPLES", "LegPlanner", "Rollout", "anchor_places", "anchors_of", "roll_out", "route_legs"]
+__all__ = ["NUM_SAMPLES", "Rollout", "anchor_places", "anchors_of", "roll_out", "route_legs"]
 
 #: T in the paper.
 NUM_SAMPLES = 64
-
-#: The polyline (V, 3) m that a drone flies from one place to another, both included; (1, 3) where it stays, (0, 3)
-#: where there is no way. Arguments as of `flockopt.travel.Travel.path`, which is one.
-LegPlanner: TypeAlias = Callable[[int, int, int], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
