@@ -29,12 +29,14 @@ class Changes:
         removed: Ids of tasks that need no visit any more.
         lost: Ids of drones that are out of the air.
         late: Seconds from the swap until a drone that stands still then can move again, by id.
+        missed: Ids of tasks that the plan has visited, but nobody has served: they are open again.
     """
 
     added: tuple[Task, ...] = ()
     removed: tuple[str, ...] = ()
     lost: tuple[str, ...] = ()
     late: dict[str, float] = field(default_factory=dict)
+    missed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,8 +56,15 @@ class Situation:
     ready_s: dict[str, float]
 
 
-def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes) -> Situation:
+def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: float | None = None) -> Situation:
     """The situation at ``swap_s`` seconds on the plan's clock.
+
+    Args:
+        scene: The scene of the plan being flown.
+        plan: The plan being flown.
+        swap_s: Until when it is flown.
+        changes: What has happened.
+        now_s: When it happened, ``swap_s`` at the latest, which is the default: lost drones serve nothing after it.
 
     Raises:
         SceneError: If a new task is not valid in the scene, or rounding makes the moment invalid (two drones only just
@@ -63,25 +72,27 @@ def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes) -> Situ
         SettingsError: If a drone said to be late is in motion.
     """
     begun = {visit.task for flight in plan.flights.values() for visit in flight.visits if visit.time <= swap_s}
-    broken_off = {task for drone in changes.lost for task in _in_service(scene, plan, drone, swap_s)}
-    closed = (begun - broken_off) | set(changes.removed)
+    lost_s = swap_s if now_s is None else now_s
+    broken_off = {task for drone in changes.lost for task in _unfinished(scene, plan, drone, lost_s, swap_s)}
+    closed = (begun - broken_off - set(changes.missed)) | set(changes.removed)
     tasks = (*(task for task in scene.tasks if task.id not in closed), *changes.added)
     fleet = [drone for drone in scene.drones if drone.id not in changes.lost]
-    drones = tuple(_drone_then(scene, plan, drone, swap_s) for drone in fleet)
+    drones = tuple(_drone_then(scene, plan, drone, swap_s, changes) for drone in fleet)
     left = scene.replace(drones=drones, tasks=tasks)
     index = {task.id: j for j, task in enumerate(tasks)}
-    routes = tuple(tuple(index[task] for task in plan.routes.get(drone.id, ()) if task in index) for drone in fleet)
+    ahead = set(index) - set(changes.missed)
+    routes = tuple(tuple(index[task] for task in plan.routes.get(drone.id, ()) if task in ahead) for drone in fleet)
     ready_s = {drone.id: _ready(scene, plan, drone, swap_s, changes) for drone in drones}
     flights = {}
     for drone in drones:
         flight = _rest_of(plan, drone.id, swap_s, set(index))
         if flight is not None:
-            late = changes.late.get(drone.id, 0.0)
-            flights[drone.id] = flight.shifted(late) if late > 0.0 else flight
+            wait_s = changes.late.get(drone.id, 0.0) - flight.curve.start_time
+            flights[drone.id] = flight.shifted(wait_s) if wait_s > 0.0 else flight
     return Situation(left, routes, flights, ready_s)
 
 
-def _drone_then(scene: Scene, plan: Plan, drone: Drone, swap_s: float) -> Drone:
+def _drone_then(scene: Scene, plan: Plan, drone: Drone, swap_s: float, changes: Changes) -> Drone:
     """The drone as it flies at the swap: its state, and what is left of its capacity and range."""
     flight = plan.flights.get(drone.id)
     end = drone.end_point if drone.end is not None else None
@@ -93,7 +104,7 @@ def _drone_then(scene: Scene, plan: Plan, drone: Drone, swap_s: float) -> Drone:
     if np.linalg.norm(velocity) < REST_SPEED_MPS and np.linalg.norm(acceleration) < REST_ACCELERATION_MPS2:
         velocity = acceleration = np.zeros(3)
     demands = {task.id: task.demand for task in scene.tasks}
-    carried = sum(demands[visit.task] for visit in flight.visits if visit.time <= swap_s)
+    carried = sum(demands[visit.task] for visit in flight.visits if visit.time <= swap_s and visit.task not in changes.missed)
     max_distance = drone.max_distance
     if max_distance is not None:
         rest = curve.after(swap_s)
@@ -109,12 +120,12 @@ def _point(vector: np.ndarray) -> Point:
     return x, y, z
 
 
-def _in_service(scene: Scene, plan: Plan, drone: str, swap_s: float) -> dict[str, float]:
-    """Tasks a drone is serving at the swap, and the seconds it still needs for each."""
+def _unfinished(scene: Scene, plan: Plan, drone: str, now_s: float, until_s: float) -> dict[str, float]:
+    """Tasks that a drone begins to serve by ``until_s`` but has not done with at ``now_s``, and the seconds from then on."""
     service_s = {task.id: task.service_time for task in scene.tasks}
     flight = plan.flights.get(drone)
     visits = flight.visits if flight is not None else ()
-    ends = {visit.task: visit.time + service_s[visit.task] - swap_s for visit in visits if visit.time <= swap_s}
+    ends = {visit.task: visit.time + service_s[visit.task] - now_s for visit in visits if visit.time <= until_s}
     return {task: seconds for task, seconds in ends.items() if seconds > 0.0}
 
 
@@ -122,7 +133,7 @@ def _ready(scene: Scene, plan: Plan, drone: Drone, swap_s: float, changes: Chang
     late = changes.late.get(drone.id, 0.0)
     if late > 0.0 and (any(drone.velocity) or any(drone.acceleration)):
         raise SettingsError(f"late[{drone.id!r}]", f"is {late:g}", "only a drone that stands still can be late", "leave it out")
-    return max([late, *_in_service(scene, plan, drone.id, swap_s).values()])
+    return max([late, *_unfinished(scene, plan, drone.id, swap_s, swap_s).values()])
 
 
 def _rest_of(plan: Plan, drone: str, swap_s: float, open_tasks: set[str]) -> Flight | None:

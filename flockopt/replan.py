@@ -80,7 +80,7 @@ def replan(scene: Scene, plan: Plan, now_s: float, changes: Changes, *, seed: in
         now_s: Seconds on its clock, >= 0.
         changes: What has happened.
         seed: Of the search.
-        freeze_s: Seconds the old plan is flown on before the swap, > 0.
+        freeze_s: Seconds the old plan is flown on before the swap, >= 0; 0 suits a fleet that has not taken off.
 
     Raises:
         SettingsError: If the plan is not certified or for another scene, a time is out of range, or a change names
@@ -107,13 +107,14 @@ def _check(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: f
         raise SettingsError("plan", f"is {plan.status}", "only a certified plan is flown on", "plan the scene first")
     if not 0.0 <= now_s < np.inf:
         raise SettingsError("now_s", f"is {now_s!r}", "must be seconds >= 0 on the plan's clock", "correct it")
-    if not 0.0 < freeze_s < np.inf:
-        raise SettingsError("freeze_s", f"is {freeze_s!r}", "must be seconds > 0", "give replanning some time")
+    if not 0.0 <= freeze_s < np.inf:
+        raise SettingsError("freeze_s", f"is {freeze_s!r}", "must be seconds >= 0", "give replanning some time")
     drones, tasks = {drone.id for drone in scene.drones}, {task.id for task in scene.tasks}
     for field, names, known in (
         ("removed", changes.removed, tasks),
         ("lost", changes.lost, drones),
         ("late", changes.late, drones),
+        ("missed", changes.missed, tasks),
     ):
         for name in names:
             if name not in known:
@@ -127,10 +128,10 @@ def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_
     scene.replace(tasks=(*scene.tasks, *changes.added))  # a bad new task is the caller's fault, not the moment's
     for attempt in range(1, MOST_SWAPS):
         try:
-            return hand_over(scene, plan, now_s + attempt * freeze_s, changes), now_s + attempt * freeze_s
+            return hand_over(scene, plan, now_s + attempt * freeze_s, changes, now_s), now_s + attempt * freeze_s
         except SceneError:
             continue
-    return hand_over(scene, plan, now_s + MOST_SWAPS * freeze_s, changes), now_s + MOST_SWAPS * freeze_s
+    return hand_over(scene, plan, now_s + MOST_SWAPS * freeze_s, changes, now_s), now_s + MOST_SWAPS * freeze_s
 
 
 def _proposals(situation: Situation, travel: Travel, seed: int) -> Iterator[tuple[str, Bundles]]:

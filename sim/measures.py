@@ -14,7 +14,7 @@ from flockopt.geometry import FloatArray
 from flockopt.kernels import point_distance
 from flockopt.scene import Scene
 
-__all__ = ["Outcome", "measure"]
+__all__ = ["Outcome", "measure", "worst_distance"]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def measure(
         scene: Where it was.
         flights: What was to be flown, by drone id.
         times: (T,) s.
-        positions: (T, N, 3) m.
+        positions: (T, N, 3) m; NaN where a drone is no longer there.
         service_radius: How near a drone must be to a task for the whole of its service, metres.
     """
     away = _worst_at_visits(scene, flights, times, positions)
@@ -73,19 +73,29 @@ def measure(
 
 
 def _worst_at_visits(scene: Scene, flights: Mapping[str, Flight], times: FloatArray, positions: FloatArray) -> dict[str, float]:
-    """How far its drone was at most from each planned task during its service, metres."""
+    """How far its drone was at most from each planned task during its service, metres; at the best of several visits."""
     number, tasks = {drone.id: i for i, drone in enumerate(scene.drones)}, {task.id: task for task in scene.tasks}
     away: dict[str, float] = {}
     for drone, flight in flights.items():
         track = positions[:, number[drone]]
         for visit in flight.visits:
-            task = tasks[visit.task]
-            away[task.id] = _worst_distance(times, track, visit.time, visit.time + task.service_time, task.position)
+            if visit.task in tasks:
+                task = tasks[visit.task]
+                metres = worst_distance(times, track, visit.time, visit.time + task.service_time, task.position)
+                away[task.id] = min(metres, away.get(task.id, math.inf))
     return away
 
 
-def _worst_distance(times: FloatArray, track: FloatArray, begin: float, end: float, place: tuple[float, float, float]) -> float:
-    """From a place over [begin, end], at the ends between samples by interpolation; infinite where the record ends before."""
+def worst_distance(times: FloatArray, track: FloatArray, begin: float, end: float, place: tuple[float, float, float]) -> float:
+    """From a place over [begin, end], at the ends between samples by interpolation; infinite where the record ends before.
+
+    Args:
+        times: (T,) s, rising.
+        track: (T, 3) m.
+        begin: s, within the record.
+        end: s.
+        place: m.
+    """
     if end > times[-1]:
         return math.inf
     inside = track[(times > begin) & (times < end)]
@@ -100,9 +110,9 @@ def _tracking(scene: Scene, flights: Mapping[str, Flight], times: FloatArray, po
         flight = flights.get(drone.id)
         plan = np.array(drone.start) if flight is None else flight.curve(times)
         errors = np.linalg.norm(positions[:, i] - plan, axis=1)
-        worst = max(worst, float(errors.max()))
+        worst = max(worst, float(np.nanmax(errors)))
         if flight is not None:
-            flying = errors[_is_flying(flight.curve, times)]
+            flying = errors[_is_flying(flight.curve, times) & np.isfinite(errors)]
             total, count = total + float(flying.sum()), count + len(flying)
     return total / count if count else 0.0, worst
 
@@ -137,5 +147,6 @@ def least_separation(positions: FloatArray) -> float:
                 square = 0.0
                 for axis in range(3):
                     square += (positions[t, i, axis] - positions[t, j, axis]) ** 2
-                least = min(least, square)
+                if square < least:  # never true of a drone that is not there
+                    least = square
     return math.sqrt(least)

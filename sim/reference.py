@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from flockopt.curve import Flight
 from flockopt.geometry import FloatArray
 from flockopt.planfile import LARGEST_DEGREE
-from flockopt.scene import Scene
+from flockopt.scene import Drone
 from sim.vectors import Vector
 
 __all__ = ["Reference", "pack_flights", "state_at"]
@@ -38,10 +38,10 @@ class Reference(NamedTuple):
     piece: NDArray[np.int64]
 
 
-def pack_flights(scene: Scene, flights: Mapping[str, Flight]) -> Reference:
-    """Pack the flights of a scene's drones, by id; drones without one stay at their start."""
+def pack_flights(drones: Sequence[Drone], flights: Mapping[str, Flight]) -> Reference:
+    """Pack the flights of drones, by id; those without one stay at their start."""
     first, begins, ends, coefficients = [0], [], [], []
-    for drone in scene.drones:
+    for drone in drones:
         flight = flights.get(drone.id)
         if flight is None:
             times, terms = np.array([0.0, 1.0]), np.array(drone.start).reshape(1, 3, 1)

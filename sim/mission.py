@@ -1,0 +1,334 @@
+"""A plan flown in PyBullet, and changed in the air: replanned, handed over to the new plan, flown on.
+
+The old plan is flown until the swap, and for good where no certified plan comes of a change. Drones keep their physical
+states through a swap; a lost drone leaves the world at once, where it is, and falls on nobody.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self, TypeAlias
+
+import numpy as np
+
+from flockopt.certify import certify
+from flockopt.curve import Flight
+from flockopt.errors import PlanError, SettingsError
+from flockopt.geometry import FloatArray
+from flockopt.handover import Changes
+from flockopt.judging import check_names
+from flockopt.planfile import Plan
+from flockopt.replan import FREEZE_S, Replanned, replan
+from flockopt.scene import Scene
+from flockopt.travel import Travel
+from sim.execution import Execution
+from sim.fleet import STATE_WIDTH
+from sim.ledger import Ledger
+from sim.measures import worst_distance
+from sim.reference import pack_flights
+from sim.settings import FlightSettings
+from sim.stitching import Leg, stitched
+from sim.swarm import Swarm
+from sim.world import Touch
+
+__all__ = ["Mission", "MissionOutcome", "Wind"]
+
+#: Velocity of the air, (3,) m/s, at a time of the mission, s.
+Wind: TypeAlias = Callable[[float], FloatArray]
+
+#: Parts of a step by which a moment may lie behind it and still count as that step.
+STEP_TOLERANCE = 1e-6
+
+#: Steps of the record that are made room for at first.
+FIRST_STEPS = 2400
+
+
+@dataclass(frozen=True)
+class MissionOutcome:
+    """What came of a mission.
+
+    Attributes:
+        flight: The record; its `outcome` holds the measures.
+        answers: The answer to every replanning, in order.
+        swaps: How many of them were flown.
+        unserved: Reasons by id of the tasks that were wanted and not served.
+        unexplained: Ids of tasks that were wanted, not served, and for which there is no reason.
+    """
+
+    flight: Execution
+    answers: tuple[Replanned, ...]
+    swaps: int
+    unserved: dict[str, str]
+    unexplained: tuple[str, ...]
+
+
+class Mission:
+    """A fleet in flight; to be used in a ``with`` statement.
+
+    Args:
+        scene: The scene.
+        plan: A plan for it. What it says of itself is not believed: it is certified anew.
+        settings: How to fly; the defaults otherwise.
+        travel: The scene's travel, if it is at hand; the judge computes it otherwise.
+        wind: What blows; the sum of all counts, and controllers do not know of it.
+        seed: Of the searches that replanning takes.
+        force: Fly the plan even if a clause of its certificate fails.
+        gui: Whether to open PyBullet's window and fly no faster than real time.
+
+    Attributes:
+        scene: What the plan now flown was made for: drones from its beginning on, tasks that were open then.
+        plan: The plan now flown.
+        begun_s: When it was swapped in, seconds of the mission.
+        pending: The certified answer that is to be swapped in next, or None.
+        wind: What blows; may be added to.
+        answers: The answer to every replanning.
+        swaps: How many of them have been swapped in.
+        touches: Contacts so far.
+
+    Raises:
+        PlanError: If the plan is for another scene, or does not hold and ``force`` is not set.
+        SettingsError: If the controller does not fly the vehicle.
+        MissingExtra: If PyBullet is not installed.
+    """
+
+    def __init__(
+        self, scene: Scene, plan: Plan, settings: FlightSettings | None = None, *, travel: Travel | None = None,
+        wind: Sequence[Wind] = (), seed: int = 0, force: bool = False, gui: bool = False,
+    ) -> None:  # fmt: skip
+        check_names(scene, plan)
+        if not force:
+            _require_certified(scene, plan, travel)
+        self.settings = settings or FlightSettings()
+        self.scene, self.plan, self.begun_s = scene, plan, 0.0
+        self.pending: Replanned | None = None
+        self.wind, self.answers, self.swaps = list(wind), list[Replanned](), 0
+        self.touches: list[Touch] = []
+        self._first, self._seed, self._is_shown = scene, seed, gui
+        self._ledger = Ledger(scene, plan)
+        self._legs: dict[str, list[Leg]] = {drone.id: [Leg(plan.flights.get(drone.id))] for drone in scene.drones}
+        self._reference = pack_flights(scene.drones, plan.flights)
+        self._swarm = Swarm(scene, self.settings, gui=gui)
+        self._columns = {drone.id: column for column, drone in enumerate(scene.drones)}
+        self._step, self._step_s, self._cpu_s = 0, 1.0 / self.settings.physics_hz, 0.0
+        self._states = np.full((1, scene.num_drones, STATE_WIDTH), np.nan)
+        self._states[0] = self._swarm.state
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Shut the world down."""
+        self._swarm.close()
+
+    # -- how it stands --------------------------------------------------------------------------------------
+
+    @property
+    def now_s(self) -> float:
+        """Seconds since the beginning."""
+        return self._step * self._step_s
+
+    @property
+    def _times(self) -> FloatArray:
+        """(T,) s, of the record."""
+        return np.arange(self._step + 1) * self._step_s
+
+    @property
+    def swap_s(self) -> float:
+        """When the pending plan is swapped in, seconds of the mission; infinite without one."""
+        return math.inf if self.pending is None else self.begun_s + self.pending.swap_s
+
+    @property
+    def end_s(self) -> float:
+        """When the last flight of the plan now flown comes to its end, seconds of the mission."""
+        return self.begun_s + max((flight.curve.end_time for flight in self.plan.flights.values()), default=0.0)
+
+    @property
+    def states(self) -> dict[str, FloatArray]:
+        """(17,) by id of every drone that is not lost, columns as in `sim.fleet`."""
+        return dict(zip(self._swarm.ids, self._swarm.state.copy(), strict=True))
+
+    def positions(self) -> dict[str, FloatArray]:
+        """(3,) m by id of every drone that is not lost."""
+        return {drone: state[:3] for drone, state in self.states.items()}
+
+    @property
+    def serviced(self) -> tuple[str, ...]:
+        """Ids of the tasks served so far."""
+        return tuple(self._ledger.served)
+
+    @property
+    def open(self) -> tuple[str, ...]:
+        """Ids of the tasks that are wanted and not served yet."""
+        return self._ledger.open
+
+    @property
+    def unserved(self) -> dict[str, str]:
+        """Reasons by id of the open tasks that nobody is on the way to, as far as they are known."""
+        return self._ledger.unserved(self.settings.service_radius)
+
+    # -- flying ---------------------------------------------------------------------------------------------
+
+    def advance(self, until_s: float) -> None:
+        """Fly on to the first whole step at or after a moment of the mission."""
+        self._fly(self._step_at(until_s))
+
+    def finish(self) -> MissionOutcome:
+        """Fly the plan, or the one that is pending, to its end and a little longer, and measure all of the flight."""
+        if self.pending is not None:
+            self.advance(self.swap_s)
+        self._fly(max(1, math.ceil((self.end_s + self.settings.settle_s) * self.settings.physics_hz)))
+        flight = Execution(
+            self._flown_scene(), self._flights(), self.settings, self._times,
+            self._states[: self._step + 1], tuple(self.touches), self._swarm.energy, self._cpu_s,
+        )  # fmt: skip
+        unserved = self.unserved
+        unexplained = tuple(task for task in self.open if task not in unserved)
+        return MissionOutcome(flight, tuple(self.answers), self.swaps, unserved, unexplained)
+
+    def _fly(self, last: int) -> None:
+        """Fly on to a step, with a swap on the way if it is due."""
+        while self._step < last:
+            self._fly_plan(last if self.pending is None else min(last, self._step_at(self.swap_s)))
+            self._swap_if_due()
+
+    def _step_at(self, time_s: float) -> int:
+        """The first step at or after a moment."""
+        return math.ceil(time_s * self.settings.physics_hz - STEP_TOLERANCE)
+
+    def _fly_plan(self, last: int) -> None:
+        """Fly the present plan on to a step."""
+        self._make_room(last)
+        step_s, columns = self._step_s, self._swarm.columns
+        target = slice(None) if len(columns) == self._states.shape[1] else columns
+        first, wall, cpu = self._step, time.monotonic(), time.thread_time()
+        for step in range(first, last):
+            now_s = step * step_s
+            air = sum(blow(now_s) for blow in self.wind) if self.wind else None
+            self.touches += self._swarm.step(self._reference, now_s - self.begun_s, air, (step + 1) * step_s)
+            self._states[step + 1, target] = self._swarm.state
+            if self._is_shown:
+                time.sleep(max(0.0, wall + (step + 1 - first) * step_s - time.monotonic()))
+        self._cpu_s += time.thread_time() - cpu
+        self._step = max(self._step, last)
+        self._judge_visits()
+
+    def _make_room(self, last: int) -> None:
+        """Let the record hold every step up to ``last``."""
+        if last < len(self._states):
+            return
+        length = max(last + 1, min(2 * len(self._states), len(self._states) + FIRST_STEPS))
+        longer = np.full((length, *self._states.shape[1:]), np.nan)
+        longer[: self._step + 1] = self._states[: self._step + 1]
+        self._states = longer
+
+    def _judge_visits(self) -> None:
+        """Judge the visits that are over."""
+        for due in [due for due in self._ledger.due if due.end_s <= self.now_s]:
+            first = max(0, int(due.begin_s / self._step_s) - 1)
+            track = self._states[first : self._step + 1, self._columns[due.drone], :3]
+            place = self._ledger.tasks[due.task].position
+            away = worst_distance(self._times[first:], track, due.begin_s, due.end_s, place)
+            self._ledger.judge(due, away, self.settings.service_radius)
+
+    # -- changing the plan ----------------------------------------------------------------------------------
+
+    def replan(self, changes: Changes) -> Replanned:
+        """Answer what has happened, from now on.
+
+        A certified answer is pending until its swap; if another change comes before, one answer to both takes its place.
+        Tasks that were left out or missed before are tried again. Any other answer is refused: the old plan is flown on.
+
+        Args:
+            changes: What has happened just now; ``missed`` is known here and may be left empty.
+
+        Raises:
+            SettingsError: If a change names what is not there, or leaves nobody to fly.
+            SceneError: If a new task is not valid.
+        """
+        self._check(changes)
+        if changes.lost:
+            self._lose(changes)
+        self._ledger.enter(changes, self.now_s)
+        freeze_s = 0.0 if self._step == 0 and self._stands_still() else FREEZE_S
+        asked = self._ledger.changes(self.scene, self.now_s + freeze_s)
+        answer = replan(self.scene, self.plan, self.now_s - self.begun_s, asked, seed=self._seed, freeze_s=freeze_s)
+        self.answers.append(answer)
+        if answer.plan.status == "certified":
+            self.pending = answer
+            self._swap_if_due()
+        else:
+            self._ledger.refuse(answer.unserved, "no certified plan that serves it was found from flight")
+        return answer
+
+    def _check(self, changes: Changes) -> None:
+        self.scene.replace(tasks=(*self.scene.tasks, *changes.added))
+        known = {"removed": set(self._ledger.tasks), "lost": set(self._swarm.ids), "late": set(self._swarm.ids)}
+        for field, names in known.items():
+            for name in getattr(changes, field):
+                if name not in names:
+                    raise SettingsError(field, f"names {name!r}", "must name what is there", "correct its spelling")
+        for task in changes.added:
+            if task.id in self._ledger.tasks:
+                raise SettingsError("added", f"names {task.id!r} again", "ids must be new", "choose another id")
+        if set(self._swarm.ids) <= set(changes.lost):
+            raise SettingsError("lost", "leaves no drone", "somebody must be left to fly", "there is nothing to plan")
+
+    def _stands_still(self) -> bool:
+        return not any(any(drone.velocity) or any(drone.acceleration) for drone in self.scene.drones)
+
+    def _lose(self, changes: Changes) -> None:
+        """Take lost drones out of the world; the others fly the plan on."""
+        for drone in changes.lost:
+            self._end_leg(drone, self.now_s)
+        self._swarm.lose(changes.lost)
+        self._follow(self.scene, self.plan)
+
+    def _swap_if_due(self) -> None:
+        """Fly the pending plan from now on, if its moment has come."""
+        answer, swap_s = self.pending, self.swap_s
+        if answer is None or self._step < self._step_at(swap_s):
+            return
+        for drone in self._swarm.ids:
+            self._end_leg(drone, swap_s)
+            self._legs[drone].append(Leg(answer.plan.flights.get(drone), swap_s))
+        self.scene, self.plan, self.begun_s, self.pending = answer.scene, answer.plan, swap_s, None
+        self.swaps += 1
+        self._ledger.expect(answer.plan, swap_s)
+        self._ledger.reasons |= answer.unserved
+        self._follow(self.scene, self.plan)
+
+    def _end_leg(self, drone: str, until_s: float) -> None:
+        last = self._legs[drone][-1]
+        self._legs[drone][-1] = Leg(last.flight, last.begin_s, until_s)
+
+    def _follow(self, scene: Scene, plan: Plan) -> None:
+        """Let every drone that is left follow its part of a plan."""
+        drones = {drone.id: drone for drone in scene.drones}
+        self._reference = pack_flights([drones[name] for name in self._swarm.ids], plan.flights)
+
+    # -- the whole ------------------------------------------------------------------------------------------
+
+    def _flown_scene(self) -> Scene:
+        """The first scene with all tasks that were wanted."""
+        tasks = tuple(task for name, task in self._ledger.tasks.items() if name not in self._ledger.removed)
+        return self._first if tasks == self._first.tasks else self._first.replace(tasks=tasks)
+
+    def _flights(self) -> dict[str, Flight]:
+        return {drone: flight for drone, legs in self._legs.items() if (flight := stitched(legs)) is not None}
+
+
+def _require_certified(scene: Scene, plan: Plan, travel: Travel | None) -> None:
+    mend = "plan the scene again, or fly it all the same with force=True (--force)"
+    if plan.status == "infeasible":
+        raise PlanError("status", f"is 'infeasible' ({plan.reason})", "only certified plans are flown", mend)
+    failed = [clause for clause in certify(scene, plan, travel=travel).clauses if not clause.holds]
+    if failed:
+        words = f"fails ({', '.join(clause.name for clause in failed)}: {failed[0].detail})"
+        raise PlanError("certificate", words, "only certified plans are flown", mend)
