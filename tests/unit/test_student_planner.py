@@ -1,0 +1,133 @@
+"""The student's planners: certified plans, choice of tries, fallbacks, NaN kept out, errors that name what is missing."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from flockopt import Bundles, MissingExtra, SettingsError, generate, plan  # noqa: E402 - torch may be missing
+from flockopt.plan import PLANNERS, Proposal  # noqa: E402
+from flockopt.trajectory.waypoints import anchored_legs, leg_clear  # noqa: E402
+from learned.student import planner  # noqa: E402
+from learned.student.batch import collate  # noqa: E402
+from learned.student.examples import example  # noqa: E402
+from learned.student.inference import draw, task_probabilities  # noqa: E402
+from learned.student.planner import hybrid, learned, shipped_student  # noqa: E402
+from tests.student_scenes import random_routes, taught_example, tiny_student  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def forest():
+    return generate("forest", drones=4, tasks=9, seed=2)
+
+
+@pytest.fixture(autouse=True)
+def planners(monkeypatch):
+    """The planners, registered, with a tiny network in place of the shipped one."""
+    student = tiny_student("small")
+    monkeypatch.setattr(planner, "shipped_student", lambda: student)
+    for function in (learned, hybrid):
+        monkeypatch.setitem(PLANNERS, function.__name__, function)
+    return student
+
+
+@pytest.mark.parametrize("name", ["learned", "hybrid"])
+@pytest.mark.parametrize("family", ["forest", "rooms"])
+def test_plans_are_certified_and_the_same_each_time(name, family):
+    scene = generate(family, drones=3, tasks=6, seed=1)
+    first, second = (plan(scene, planner=name, seed=4) for _ in range(2))
+    assert first.status == "certified"
+    assert {"head", "refine", "generate"} <= first.timing.keys()
+    assert first.routes == second.routes and first.cost == second.cost
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hybrid_is_never_worse_than_classical(seed):
+    scene = generate("city", drones=4, tasks=10, seed=seed)
+    assert plan(scene, planner="hybrid").cost.travel <= plan(scene).cost.travel + 1e-9
+
+
+@pytest.mark.parametrize("config", ["small", "paper"])
+def test_nan_from_the_network_never_reaches_a_plan(config, forest, monkeypatch):
+    student = tiny_student(config)
+    for parameter in student.parameters():
+        parameter.data.fill_(torch.nan)
+    monkeypatch.setattr(planner, "shipped_student", lambda: student)
+    base = example(forest, random_routes(forest, 1))
+    (drawing,) = draw(student, [base])
+    assert np.array_equal(drawing.samples, base.straight)
+    for name in ("learned", "hybrid"):
+        result = plan(forest, planner=name)
+        assert result.status == "certified"
+        assert all(np.isfinite(flight.curve.coefficients).all() for flight in result.flights.values())
+
+
+def test_tries_are_chosen_leg_by_leg(planners):
+    one = taught_example("forest", drones=6, tasks=12, seed=1)
+    (drawing,) = draw(planners, [one], tries=3, seed=5)
+    assert drawing.num_drawn == one.blocked.any(axis=1).sum() > 0
+    for drone, route in enumerate(one.routes):
+        legs = anchored_legs(one.scene, drone, route, drawing.samples[drone]) if route else []
+        assert drawing.clear[drone] == all(leg_clear(one.scene, drone, leg) for leg in legs)
+        if not one.blocked[drone].any():
+            assert np.array_equal(drawing.samples[drone], one.straight[drone])
+
+
+def test_batches_of_scenes_are_drawn_as_one_by_one():
+    student = tiny_student("small")
+    examples = [taught_example("forest", drones=3, tasks=6, seed=seed) for seed in range(3)]
+    alone = [task_probabilities(student, collate([one]))[0] for one in examples]
+    together = task_probabilities(student, collate(examples))
+    assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(alone, together, strict=True))
+    assert [drawing.samples.shape for drawing in draw(student, examples)] == [(3, 64, 3)] * 3
+
+
+def test_a_drone_with_more_legs_than_samples_flies_the_paths(planners):
+    scene = generate("forest", drones=1, tasks=66, seed=0)
+    result = plan(scene, planner="learned")
+    assert result.status == "certified"
+
+
+def test_no_tasks_and_too_little_capacity(forest):
+    assert plan(dataclasses.replace(forest, tasks=()), planner="hybrid").status == "certified"
+    grounded = dataclasses.replace(forest, drones=tuple(dataclasses.replace(drone, capacity=1) for drone in forest.drones))
+    for name in ("learned", "hybrid"):
+        assert plan(grounded, planner=name).status == "infeasible"
+
+
+def test_the_classical_planner_steps_in_where_a_clause_fails(forest, monkeypatch):
+    def forgetful(request):
+        return Proposal(Bundles(((0,), (1,), (2,), (3,))), otherwise=PLANNERS["classical"])
+
+    monkeypatch.setitem(PLANNERS, "forgetful", forgetful)
+    result = plan(forest, planner="forgetful")
+    assert result.status == "certified" and result.planner == "forgetful"
+    assert result.timing["fallback"] > 0.0
+    assert result.cost.travel == plan(forest).cost.travel
+
+
+def test_missing_and_damaged_weights_are_named(tmp_path):
+    with pytest.raises(SettingsError, match="nothing"):
+        shipped_student(tmp_path / "nothing.safetensors")
+    (tmp_path / "damaged.safetensors").write_bytes(b"not weights")
+    with pytest.raises(SettingsError, match="damaged"):
+        shipped_student(tmp_path / "damaged.safetensors")
+
+
+def test_missing_torch_is_named(tmp_path, monkeypatch):
+    for name in [name for name in sys.modules if name.startswith(("learned.student.checkpoint", "learned.student.model"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingExtra, match="torch is not installed"):
+        shipped_student(tmp_path / "other.safetensors")
+
+
+def test_registering_the_planners_loads_no_torch():
+    code = "import learned.student.planner, sys; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"
