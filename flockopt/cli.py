@@ -96,6 +96,10 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
     plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
     plan.add_argument("--planner", default="classical", metavar="NAME", help="which planner (default: classical)")
+    plan.add_argument(
+        "--paths", default="any-angle", metavar="KIND",
+        help="what drones fly along: any-angle, the shortest (default); some planners also know voxel26 and voxel6",
+    )  # fmt: skip
     plan.add_argument("--time-limit", type=_seconds, metavar="S", help="seconds the whole plan may take (default: no limit)")
     plan.add_argument("--seed", type=_whole(0), default=0, metavar="N", help="same seed, same plan (default: 0)")
     plan.add_argument(

@@ -32,6 +32,7 @@ def plan(options: argparse.Namespace) -> int:
         result = plan_scene(
             scene,
             planner=options.planner,
+            paths=options.paths,
             time_limit_s=options.time_limit,
             seed=options.seed,
             bound=options.bound,

@@ -33,7 +33,9 @@ from flockopt.trajectory.smooth_program import load_casadi
 from flockopt.trajectory.tracking_margin import margins, roomier
 from flockopt.travel import Travel, compute_travel
 
-__all__ = ["Planner", "Proposal", "Request", "draft_plan", "plan", "plan_cost", "planner_names"]
+__all__ = [
+    "ANY_ANGLE", "Planner", "Proposal", "Request", "draft_plan", "find_planner", "plan", "plan_cost", "planner_names",
+]  # fmt: skip
 
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
 ALLOCATION_SHARE = 0.7
@@ -45,6 +47,10 @@ LEAST_ALLOCATION_S = 1e-3
 NO_TRAVEL_M = 1e-6
 
 ENTRY_POINTS = "flockopt.planners"
+
+#: Paths that every planner's drones can fly along: the shortest ones. A planner that knows others as well names all of
+#: them in an attribute ``paths``.
+ANY_ANGLE = "any-angle"
 
 Progress = Callable[[str, float], None]
 
@@ -58,12 +64,16 @@ class Request:
         travel: Its obstacle-avoiding distances and paths.
         time_limit_s: Seconds the proposal may take, or None for the planner's own measure.
         seed: For everything random.
+        paths: What drones are to fly along, one of those the planner's attribute ``paths`` names.
+        tracking_margin_m: How much more room flights are to keep where there is some, metres.
     """
 
     scene: Scene
     travel: Travel
     time_limit_s: float | None
     seed: int
+    paths: str = ANY_ANGLE
+    tracking_margin_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -74,12 +84,14 @@ class Proposal:
         bundles: Which drone visits which tasks in which order.
         samples: (N, T, 3) m, control points of the flights, or None to follow the any-angle paths.
         timing: Seconds the planner spent, by stage.
+        episode_steps: In how many steps the allocation was made (the paper's measure), or None where all was allocated at once.
         otherwise: Who is asked where no certified plan comes of this proposal; what that took is the stage ``fallback``.
     """
 
     bundles: Bundles
     samples: FloatArray | None = None
     timing: dict[str, float] = field(default_factory=dict)
+    episode_steps: int | None = None
     otherwise: Planner | None = None
 
 
@@ -98,6 +110,20 @@ PLANNERS: dict[str, Planner] = {"classical": classical}
 def planner_names() -> tuple[str, ...]:
     """Planners at hand: flockopt's own and those of installed packages."""
     return tuple(sorted({*PLANNERS, *(entry.name for entry in entry_points(group=ENTRY_POINTS))}))
+
+
+def find_planner(name: str, paths: str = ANY_ANGLE) -> Planner:
+    """The planner of this name.
+
+    Raises:
+        SettingsError: If there is none, or it does not know these paths.
+    """
+    planner = _planner(name)
+    known: tuple[str, ...] = getattr(planner, "paths", (ANY_ANGLE,))
+    if paths not in known:
+        rule = f"must be one of {', '.join(known)} for planner {name!r}"
+        raise SettingsError("paths", f"is {paths!r}", rule, "choose one, or another planner")
+    return planner
 
 
 def _planner(name: str) -> Planner:
@@ -119,6 +145,7 @@ def plan(
     bound: str = "tight",
     smoothing: bool = False,
     tracking_margin_m: float = 0.0,
+    paths: str = ANY_ANGLE,
     progress: Progress | None = None,
 ) -> Plan:
     """Plan a fleet's flight and certify it.
@@ -135,6 +162,7 @@ def plan(
         tracking_margin_m: How far drones may stray from the plan, metres: flights keep that much more clearance, and twice
             that much more separation, as far as the scene leaves the room (`flockopt.trajectory.tracking_margin`). The
             certificate is for the scene as it is.
+        paths: What drones fly along: ``any-angle``, the shortest paths, or others that the planner knows.
         progress: Called with a stage's name and the fraction of the whole that is done.
 
     Returns:
@@ -142,10 +170,11 @@ def plan(
         certificate names clauses that fail, or ``infeasible`` with the reason and without flights.
 
     Raises:
-        SettingsError: On an unknown planner or bound, a time limit that is not positive, or a negative seed or margin.
+        SettingsError: On an unknown planner or bound, paths that the planner does not know, a time limit that is not
+            positive, or a negative seed or margin.
         MissingExtra: If smoothing is asked for and CasADi is not installed.
     """
-    propose = _planner(planner)
+    propose = find_planner(planner, paths)
     _check_settings(time_limit_s, seed, bound)
     margin_m = reading.number(SettingsError, "tracking_margin_m", tracking_margin_m, least=0.0)
     if smoothing:
@@ -155,7 +184,7 @@ def plan(
         travel = compute_travel(scene)
     with clock.stage("allocate", 0.1):
         left = None if time_limit_s is None else max(ALLOCATION_SHARE * (time_limit_s - clock.total), LEAST_ALLOCATION_S)
-        request = Request(scene, travel, left, seed)
+        request = Request(scene, travel, left, seed, paths, margin_m)
         proposal = propose(request)
     clock.seconds.update({"generate": 0.0, **proposal.timing})
     finish = partial(_finish, request, planner, bound=bound, smoothing=smoothing, margin_m=margin_m)
@@ -172,11 +201,13 @@ def _finish(
 ) -> Plan:
     """A proposal made a plan, and judged."""
     scene, travel, bundles = request.scene, request.travel, proposal.bundles
-    draft = draft_plan(scene, planner, bundles)
+    draft = replace(draft_plan(scene, planner, bundles), episode_steps=proposal.episode_steps)
     if bundles.status == "infeasible":
         return replace(draft, status="infeasible", reason=bundles.reason)
     with clock.stage("bound", 0.5):
-        proof = lower_bound(scene, travel, bound=bound, upper=travel.total(bundles.routes))
+        # what all tasks cost at least says nothing of a plan that leaves some out
+        upper = travel.total(bundles.routes)
+        proof = None if bundles.unserved else lower_bound(scene, travel, bound=bound, upper=upper)
     for clearance_m, separation_m in margins(margin_m):
         with clock.stage("decode", 0.6):
             room, ways = roomier(scene, travel, bundles, clearance_m, separation_m)
@@ -220,14 +251,17 @@ def draft_plan(scene: Scene, planner: str, bundles: Bundles) -> Plan:
     )
 
 
-def plan_cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: Bound) -> Cost:
-    """What flights along bundles cost, against a proven bound."""
+def plan_cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: Bound | None) -> Cost:
+    """What flights along bundles cost, against a proven bound where there is one."""
     total = travel.total(bundles.routes)
-    gap = (total - proof.value) / proof.value if proof.value > 0.0 else 0.0 if total <= NO_TRAVEL_M else None
+    lower, gap = None, None
+    if proof is not None:
+        lower = proof.value
+        gap = (total - lower) / lower if lower > 0.0 else 0.0 if total <= NO_TRAVEL_M else None
     return Cost(
         length=sum(flight.curve.length for flight in flights.values()),
         travel=total,
-        lower_bound=proof.value,
+        lower_bound=lower,
         gap=gap,
         makespan=max((flight.curve.end_time for flight in flights.values()), default=0.0),
     )

@@ -71,6 +71,7 @@ class Plan:
         certificate: What the judge said of it, or None.
         timing: Seconds by stage.
         reason: Why it is infeasible; empty otherwise.
+        episode_steps: In how many steps the planner made its allocation; None where all was allocated at once.
     """
 
     scene_name: str
@@ -84,6 +85,7 @@ class Plan:
     certificate: Certificate | None = None
     timing: dict[str, float] = field(default_factory=dict)
     reason: str = ""
+    episode_steps: int | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -115,7 +117,7 @@ class Plan:
         """A plan from its JSON object, read strictly."""
         if isinstance(item, dict) and item.get("format", FORMAT) != FORMAT:
             raise PlanError("format", f"is {reading.shown(item['format'])}", f'must be "{FORMAT}"', "convert the file")
-        record = reading.keys(PlanError, item, REQUIRED, ("reason",))
+        record = reading.keys(PlanError, item, REQUIRED, ("reason", "episode_steps"))
         name, digest = _nested("scene", record["scene"], _scene)
         certificate = record["certificate"]
         return cls(
@@ -132,6 +134,9 @@ class Plan:
             certificate=None if certificate is None else _nested("certificate", certificate, Certificate.from_dict),
             timing=_nested("timing", record["timing"], _timing),
             reason=reading.text(PlanError, "reason", record["reason"]) if "reason" in record else "",
+            episode_steps=reading.integer(PlanError, "episode_steps", record["episode_steps"], least=0)
+            if "episode_steps" in record
+            else None,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -148,7 +153,8 @@ class Plan:
             "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "timing": {stage: float(seconds) for stage, seconds in self.timing.items()},
         }
-        return record | ({"reason": self.reason} if self.reason else {})
+        steps = {} if self.episode_steps is None else {"episode_steps": self.episode_steps}
+        return record | steps | ({"reason": self.reason} if self.reason else {})
 
 
 def _plain(value: float | None) -> float | None:

@@ -14,12 +14,11 @@ import numpy as np
 
 from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray
+from flockopt.plan import ANY_ANGLE
 from flockopt.scene import Scene
 from flockopt.travel import Travel, compute_travel
 
 __all__ = ["ANY_ANGLE", "PATHS", "LegPlanner", "Ways", "find_ways"]
-
-ANY_ANGLE = "any-angle"
 
 #: To how many neighbours a step on the grid may lead.
 CONNECTIVITY_OF = {"voxel26": 26, "voxel6": 6}

@@ -19,7 +19,7 @@ from pathlib import Path
 from flockopt import FlockError, SettingsError, reading
 from flockopt.backends import BACKENDS
 from flockopt.families import FAMILIES
-from flockopt.plan import planner_names
+from flockopt.plan import ANY_ANGLE, find_planner
 from flockopt.progress_bar import ProgressBar
 from sim.batch import run_batch
 from sim.execute import execute
@@ -54,6 +54,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--scenes", type=int, default=100, help="how many (default 100)")
     parser.add_argument("--seed", type=int, default=0, help="of the first scene; the others follow (default 0)")
     parser.add_argument("--planner", default="classical", help="who plans (default classical)")
+    parser.add_argument(
+        "--paths", default=ANY_ANGLE, help="what drones fly along (default any-angle; more if the planner knows them)"
+    )
     parser.add_argument(
         "--time-limit", type=float, metavar="S", help="for each plan, seconds; results then vary with the machine"
     )
@@ -122,9 +125,7 @@ def _trials(options: argparse.Namespace) -> list[Trial]:
     scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
     seed = reading.integer(SettingsError, "seed", options.seed, least=0)
     options.jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
-    if options.planner not in planner_names():
-        rule = f"must be one of {', '.join(planner_names())}"
-        raise SettingsError("planner", f"is {options.planner!r}", rule, "choose one")
+    find_planner(options.planner, options.paths)
     if options.backend not in BACKENDS:
         raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
     if options.time_limit is not None:
@@ -132,7 +133,7 @@ def _trials(options: argparse.Namespace) -> list[Trial]:
     margin_m = reading.number(SettingsError, "tracking-margin", options.tracking_margin, least=0.0)
     first = Trial(
         options.family, options.drones, options.tasks, seed, options.planner, options.time_limit, flight_settings(options),
-        options.force, margin_m,
+        options.force, margin_m, options.paths,
     )  # fmt: skip
     first.scene()  # a family or a size that cannot be is refused before anything runs
     load_pybullet()

@@ -10,7 +10,7 @@ from typing import TypeAlias
 from flockopt.bundles import bundle_compactness, insertion_cost, tasks_per_drone_std
 from flockopt.errors import FlockError
 from flockopt.families import generate
-from flockopt.plan import plan
+from flockopt.plan import ANY_ANGLE, plan
 from flockopt.planfile import Plan
 from flockopt.scene import Scene
 from flockopt.travel import Travel, compute_travel
@@ -59,6 +59,7 @@ class Trial:
         settings: How to fly.
         force: Whether plans are flown that are not certified.
         tracking_margin_m: Room that plans keep for tracking errors, metres.
+        paths: What drones fly along, see `flockopt.plan.plan`.
     """
 
     family: str
@@ -70,6 +71,7 @@ class Trial:
     settings: FlightSettings = field(default_factory=FlightSettings)
     force: bool = False
     tracking_margin_m: float = TRACKING_MARGIN_M
+    paths: str = ANY_ANGLE
 
     @property
     def key(self) -> str:
@@ -88,7 +90,7 @@ class Trial:
         """The plan to be flown in it."""
         return plan(
             scene, planner=self.planner, time_limit_s=self.time_limit_s, seed=self.seed,
-            tracking_margin_m=self.tracking_margin_m,
+            tracking_margin_m=self.tracking_margin_m, paths=self.paths,
         )  # fmt: skip
 
     def terms(self) -> dict[str, object]:
@@ -155,6 +157,7 @@ def _plan_columns(scene: Scene, made: Plan, travel: Travel) -> dict[str, Value]:
         "tasks_per_distance": planned / made.cost.travel if made.cost.travel > 0.0 else None,
         "bundle_compactness": bundle_compactness(routes, scene.task_positions),
         "insertion_cost": insertion_cost(travel, routes),
+        "episode_steps": made.episode_steps,
         "tasks_per_drone_std": tasks_per_drone_std(routes),
     }
 
