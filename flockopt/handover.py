@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from flockopt.curve import Flight
 from flockopt.errors import SettingsError
+from flockopt.geometry import distances
 from flockopt.planfile import Plan
 from flockopt.scene import Drone, Point, Scene, Task
 
@@ -48,12 +50,16 @@ class Situation:
         routes: What is left of each drone's old route, as task indices of ``scene``.
         flights: What is left of the old flights, by drone id, beginning at the swap.
         ready_s: Seconds after the swap until a drone may set off (it serves a task, or is late), by id.
+        astray: Ids of drones whose old flight leads to tasks that need no visit any more.
+        unreachable: Reasons by id of tasks that none of the drones left can come to; they are not in ``scene``.
     """
 
     scene: Scene
     routes: tuple[tuple[int, ...], ...]
     flights: dict[str, Flight]
     ready_s: dict[str, float]
+    astray: frozenset[str]
+    unreachable: dict[str, str]
 
 
 def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: float | None = None) -> Situation:
@@ -75,8 +81,10 @@ def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: 
     lost_s = swap_s if now_s is None else now_s
     broken_off = {task for drone in changes.lost for task in _unfinished(scene, plan, drone, lost_s, swap_s)}
     closed = (begun - broken_off - set(changes.missed)) | set(changes.removed)
-    tasks = (*(task for task in scene.tasks if task.id not in closed), *changes.added)
     fleet = [drone for drone in scene.drones if drone.id not in changes.lost]
+    open_tasks = (*(task for task in scene.tasks if task.id not in closed), *changes.added)
+    unreachable = _unreachable(scene, fleet, open_tasks)
+    tasks = tuple(task for task in open_tasks if task.id not in unreachable)
     drones = tuple(_drone_then(scene, plan, drone, swap_s, changes) for drone in fleet)
     left = scene.replace(drones=drones, tasks=tasks)
     index = {task.id: j for j, task in enumerate(tasks)}
@@ -89,7 +97,19 @@ def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: 
         if flight is not None:
             wait_s = changes.late.get(drone.id, 0.0) - flight.curve.start_time
             flights[drone.id] = flight.shifted(wait_s) if wait_s > 0.0 else flight
-    return Situation(left, routes, flights, ready_s)
+    dropped = set(changes.removed) - begun
+    astray = frozenset(drone.id for drone in fleet if dropped & set(plan.routes.get(drone.id, ())))
+    return Situation(left, routes, flights, ready_s, astray, unreachable)
+
+
+def _unreachable(scene: Scene, fleet: Sequence[Drone], tasks: Sequence[Task]) -> dict[str, str]:
+    """Reasons by id of the tasks that are too near an obstacle for the smallest drone that is left."""
+    need = min(drone.radius for drone in fleet) + scene.clearance
+    if not tasks or not scene.obstacles or need <= scene.radii.min() + scene.clearance:
+        return {}
+    gaps = distances(scene.obstacle_table, np.array([task.position for task in tasks])).min(axis=1)
+    words = "is {:.4g} m from an obstacle; the smallest drone left needs {:g} m; add a smaller one"
+    return {task.id: words.format(gap, need) for task, gap in zip(tasks, gaps, strict=True) if gap < need}
 
 
 def _drone_then(scene: Scene, plan: Plan, drone: Drone, swap_s: float, changes: Changes) -> Drone:

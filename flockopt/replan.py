@@ -16,6 +16,7 @@ from time import perf_counter
 
 import numpy as np
 
+from flockopt import reading
 from flockopt.allocate.bounds import lower_bound
 from flockopt.allocate.refine import refine_bundles
 from flockopt.bundles import Bundles
@@ -28,6 +29,7 @@ from flockopt.planfile import Plan
 from flockopt.scene import Scene
 from flockopt.trajectory.decode import fly
 from flockopt.trajectory.deconflict import deconflict
+from flockopt.trajectory.tracking_margin import margins, roomier
 from flockopt.trajectory.waypoints import SAME_POINT_M, Waypoints, waypoints_from_paths
 from flockopt.travel import Travel, compute_travel
 
@@ -45,6 +47,9 @@ ITERATIONS = 600
 #: A new allocation must save this share of the travel to be worth changing what drones are about to do.
 WORTH_CHANGING = 0.01
 
+#: Strategies that may lead a drone another way although its tasks are the same.
+ANEW = ("new", "old")
+
 #: Rests tried at the first waypoint of drones that meet others and cannot wait where they are, for they fly; seconds.
 RESTS_S = (0.0, 1.0, 2.0, 4.0, 7.0)
 
@@ -59,7 +64,7 @@ class Replanned:
         swap_s: When to swap, seconds on the old plan's clock.
         unserved: Reason by id of every open task that is left out.
         strategy: ``"new"`` bundles; the ``"old"`` ones with open tasks inserted, or ``"appended"`` to be served after all
-            others from rest; or the old ones ``"kept"`` as they were.
+            others from rest; or the old ones ``"kept"`` as they were; ``"none"`` if there was no moment to swap at.
         seconds: How long replanning took.
     """
 
@@ -71,7 +76,16 @@ class Replanned:
     seconds: float
 
 
-def replan(scene: Scene, plan: Plan, now_s: float, changes: Changes, *, seed: int = 0, freeze_s: float = FREEZE_S) -> Replanned:
+def replan(
+    scene: Scene,
+    plan: Plan,
+    now_s: float,
+    changes: Changes,
+    *,
+    seed: int = 0,
+    freeze_s: float = FREEZE_S,
+    tracking_margin_m: float = 0.0,
+) -> Replanned:
     """A certified plan from flight after something has happened.
 
     Args:
@@ -81,6 +95,7 @@ def replan(scene: Scene, plan: Plan, now_s: float, changes: Changes, *, seed: in
         changes: What has happened.
         seed: Of the search.
         freeze_s: Seconds the old plan is flown on before the swap, >= 0; 0 suits a fleet that has not taken off.
+        tracking_margin_m: Room that new flights keep for tracking errors, metres, as in `flockopt.plan.plan`.
 
     Raises:
         SettingsError: If the plan is not certified or for another scene, a time is out of range, or a change names
@@ -89,13 +104,17 @@ def replan(scene: Scene, plan: Plan, now_s: float, changes: Changes, *, seed: in
     """
     began = perf_counter()
     _check(scene, plan, now_s, changes, freeze_s)
-    situation, swap_s = _situation(scene, plan, now_s, changes, freeze_s)
+    margin_m = reading.number(SettingsError, "tracking_margin_m", tracking_margin_m, least=0.0)
+    handed_over = _situation(scene, plan, now_s, changes, freeze_s)
+    if handed_over is None:
+        return Replanned(scene, replace(plan, status="uncertified"), now_s, {}, "none", perf_counter() - began)
+    situation, swap_s = handed_over
     travel = compute_travel(situation.scene)
     for strategy, bundles in _proposals(situation, travel, seed):
-        left, result, unserved = _finish(situation, travel, bundles, from_rest=strategy == "appended")
+        left, result, unserved = _finish(situation, travel, bundles, strategy, margin_m)
         if result.status == "certified":
             break
-    return Replanned(left, result, swap_s, unserved, strategy, perf_counter() - began)
+    return Replanned(left, result, swap_s, situation.unreachable | unserved, strategy, perf_counter() - began)
 
 
 def _check(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: float) -> None:
@@ -123,15 +142,16 @@ def _check(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: f
         raise SettingsError("lost", "names every drone", "somebody must be left to fly", "there is nothing to plan")
 
 
-def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: float) -> tuple[Situation, float]:
-    """The situation at the first moment after the freeze that is a valid scene, and that moment."""
+def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: float) -> tuple[Situation, float] | None:
+    """The situation at the first moment after the freeze that is a valid scene, and that moment; None if there is none."""
     scene.replace(tasks=(*scene.tasks, *changes.added))  # a bad new task is the caller's fault, not the moment's
-    for attempt in range(1, MOST_SWAPS):
+    for attempt in range(1, MOST_SWAPS + 1):
+        swap_s = now_s + attempt * freeze_s
         try:
-            return hand_over(scene, plan, now_s + attempt * freeze_s, changes, now_s), now_s + attempt * freeze_s
+            return hand_over(scene, plan, swap_s, changes, now_s), swap_s
         except SceneError:
             continue
-    return hand_over(scene, plan, now_s + MOST_SWAPS * freeze_s, changes, now_s), now_s + MOST_SWAPS * freeze_s
+    return None
 
 
 def _proposals(situation: Situation, travel: Travel, seed: int) -> Iterator[tuple[str, Bundles]]:
@@ -180,11 +200,10 @@ def _stops_at_last_task(situation: Situation, index: int) -> bool:
     return bool(np.linalg.norm(away) < SAME_POINT_M)
 
 
-def _finish(situation: Situation, travel: Travel, bundles: Bundles, from_rest: bool) -> tuple[Scene, Plan, dict[str, str]]:
-    """The scene of what the bundles serve, the plan for it, certified or not, and what is left out.
-
-    With ``from_rest`` drones fly their old flights to the end before they turn to tasks that were not theirs.
-    """
+def _finish(
+    situation: Situation, travel: Travel, bundles: Bundles, strategy: str, margin_m: float
+) -> tuple[Scene, Plan, dict[str, str]]:
+    """The scene of what the bundles serve, the plan for it, certified or not, and what is left out."""
     scene = situation.scene
     unserved = {scene.tasks[task].id: reason for task, reason in bundles.unserved}
     if unserved:
@@ -195,32 +214,37 @@ def _finish(situation: Situation, travel: Travel, bundles: Bundles, from_rest: b
         bundles = Bundles(tuple(tuple(place[j] for j in route) for route in bundles))
     draft = draft_plan(scene, "replan", bundles)
     proof = lower_bound(scene, travel, bound="fast")
-    for rest_s in RESTS_S:
-        flights = _flights(situation, scene, travel, bundles, rest_s, from_rest)
-        flights = deconflict(scene, bundles, flights, travel=travel).flights
-        result = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
-        certificate = certify(scene, result, travel=travel, bound=proof)
-        result = replace(result, status="certified" if certificate.certified else "uncertified", certificate=certificate)
-        if certificate["separation"].holds:  # a rest helps only against meeting others
+    for clearance_m, separation_m in margins(margin_m):
+        room, ways = roomier(scene, travel, bundles, clearance_m, separation_m)
+        for rest_s in RESTS_S:
+            flights = _flights(situation, room, ways, bundles, rest_s, strategy)
+            flights = deconflict(room, bundles, flights, travel=ways).flights
+            result = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
+            certificate = certify(scene, result, travel=travel, bound=proof)
+            if certificate["separation"].holds:  # a rest helps only against meeting others
+                break
+        if certificate.certified:
             break
-    return scene, result, unserved
+    status = "certified" if certificate.certified else "uncertified"
+    return scene, replace(result, status=status, certificate=certificate), unserved
 
 
 def _flights(
-    situation: Situation, scene: Scene, travel: Travel, bundles: Bundles, rest_s: float, from_rest: bool
+    situation: Situation, scene: Scene, travel: Travel, bundles: Bundles, rest_s: float, strategy: str
 ) -> dict[str, Flight]:
     """Flights from the swap: the old curve where the route is the old one, a new one elsewhere.
 
-    Drones on a new route that start in motion rest for ``rest_s`` seconds at their first waypoint, if that is > 0.
+    Drones on a new route that start in motion rest for ``rest_s`` seconds at their first waypoint, if that is > 0. With
+    the strategy "appended" drones fly their old flights to the end before they turn to tasks that were not theirs.
     """
     flights = dict(situation.flights)
     for index, drone in enumerate(scene.drones):
         old = tuple(situation.scene.tasks[task].id for task in situation.routes[index])
         new = tuple(scene.tasks[task].id for task in bundles[index])
         moving = any(drone.velocity) or any(drone.acceleration)
-        if old == new:
+        if old == new and not (drone.id in situation.astray and strategy in ANEW):
             continue
-        if from_rest and drone.id in flights and old == new[: len(old)]:
+        if strategy == "appended" and drone.id in flights and old == new[: len(old)]:
             flights[drone.id] = _continued(scene, travel, index, bundles[index], flights[drone.id], len(old))
             continue
         waypoints = waypoints_from_paths(scene, travel, index, bundles[index])

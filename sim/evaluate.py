@@ -3,8 +3,9 @@
     python -m sim.evaluate --family forest --drones 10 --tasks 20 --scenes 100 --seed 0 --jobs 2 --out out/forest
 
 Writes ``flights.csv`` (a row a flight, the same on every run), ``timings.csv``, ``summary.md``, ``summary.png`` and
-``flight.gif``. Killed and started again, it goes on where it stopped. Exit status 0 if every flight was certified,
-complete and without contact, 1 if not, 2 on bad input.
+``flight.gif``. Killed and started again, it goes on where it stopped. With ``--events N`` every flight is struck by N
+disturbances and replanned. Exit status 0 if every flight was certified, complete and without contact, 1 if not, 2 on bad
+input; after events complete means that every task was served or is listed with the reason.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from flockopt.families import FAMILIES
 from flockopt.plan import ANY_ANGLE, find_planner
 from flockopt.progress_bar import ProgressBar
 from sim.batch import run_batch
-from sim.execute import execute
+from sim.events import KINDS, EventSettings
 from sim.fleet import CONTROLLERS
 from sim.journal import Journal
 from sim.movie import save_movie
@@ -63,6 +64,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--tracking-margin", type=float, default=TRACKING_MARGIN_M, metavar="M",
         help=f"room that plans keep for tracking errors, metres (default {TRACKING_MARGIN_M:g})",
+    )  # fmt: skip
+    happening = EventSettings()
+    parser.add_argument("--events", type=int, default=0, metavar="N", help="disturbances that strike each flight (default 0)")
+    parser.add_argument(
+        "--event-kinds", nargs="+", default=list(KINDS), metavar="KIND", help=f"some of {', '.join(KINDS)} (default all)"
+    )
+    parser.add_argument(
+        "--gust", type=float, default=happening.gust_mps, metavar="MPS",
+        help=f"speed of the air in a gust (default {happening.gust_mps:g})",
     )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1, help="flights side by side (default 1)")
     parser.add_argument("--backend", default="loky", help=f"where they run: {', '.join(BACKENDS)} (default loky: processes)")
@@ -133,11 +143,17 @@ def _trials(options: argparse.Namespace) -> list[Trial]:
     margin_m = reading.number(SettingsError, "tracking-margin", options.tracking_margin, least=0.0)
     first = Trial(
         options.family, options.drones, options.tasks, seed, options.planner, options.time_limit, flight_settings(options),
-        options.force, margin_m, options.paths,
+        options.force, margin_m, options.paths, _event_settings(options),
     )  # fmt: skip
     first.scene()  # a family or a size that cannot be is refused before anything runs
     load_pybullet()
     return [replace(first, seed=seed + offset) for offset in range(scenes)]
+
+
+def _event_settings(options: argparse.Namespace) -> EventSettings | None:
+    number = reading.integer(SettingsError, "events", options.events, least=0)
+    settings = EventSettings(max(number, 1), tuple(options.event_kinds), gust_mps=options.gust)
+    return settings if number else None
 
 
 def _film(trials: list[Trial], results: list[Result], path: Path) -> None:
@@ -145,7 +161,8 @@ def _film(trials: list[Trial], results: list[Result], path: Path) -> None:
     for trial, result in zip(trials, results, strict=True):
         if result.row["contacts"] is not None:
             scene = trial.scene()
-            save_movie(execute(scene, trial.plan(scene), trial.settings, force=True), path)
+            made = trial.plan(scene)
+            save_movie(replace(trial, force=True).fly(scene, made, trial.happenings(scene, made)).flight, path)
             return
 
 

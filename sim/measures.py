@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from flockopt.curve import Curve, Flight
 from flockopt.geometry import FloatArray
@@ -117,7 +118,7 @@ def _tracking(scene: Scene, flights: Mapping[str, Flight], times: FloatArray, po
     return total / count if count else 0.0, worst
 
 
-def _is_flying(curve: Curve, times: FloatArray) -> FloatArray:
+def _is_flying(curve: Curve, times: FloatArray) -> NDArray[np.bool_]:
     return (times >= curve.start_time) & (times <= curve.end_time)
 
 

@@ -25,6 +25,7 @@ from flockopt.planfile import Plan
 from flockopt.replan import FREEZE_S, Replanned, replan
 from flockopt.scene import Scene
 from flockopt.travel import Travel
+from sim.events import Event, Gust, TaskRemoved
 from sim.execution import Execution
 from sim.fleet import STATE_WIDTH
 from sim.ledger import Ledger
@@ -43,6 +44,9 @@ Wind: TypeAlias = Callable[[float], FloatArray]
 #: Parts of a step by which a moment may lie behind it and still count as that step.
 STEP_TOLERANCE = 1e-6
 
+#: How often the fleet sets off again, after it has come to its end, for tasks that are still open.
+MOST_RETURNS = 3
+
 #: Steps of the record that are made room for at first.
 FIRST_STEPS = 2400
 
@@ -54,14 +58,14 @@ class MissionOutcome:
     Attributes:
         flight: The record; its `outcome` holds the measures.
         answers: The answer to every replanning, in order.
-        swaps: How many of them were flown.
+        swapped: Those of them that were flown.
         unserved: Reasons by id of the tasks that were wanted and not served.
         unexplained: Ids of tasks that were wanted, not served, and for which there is no reason.
     """
 
     flight: Execution
     answers: tuple[Replanned, ...]
-    swaps: int
+    swapped: tuple[Replanned, ...]
     unserved: dict[str, str]
     unexplained: tuple[str, ...]
 
@@ -76,6 +80,7 @@ class Mission:
         travel: The scene's travel, if it is at hand; the judge computes it otherwise.
         wind: What blows; the sum of all counts, and controllers do not know of it.
         seed: Of the searches that replanning takes.
+        tracking_margin_m: Room that new plans keep for tracking errors, metres, as in `flockopt.plan`.
         force: Fly the plan even if a clause of its certificate fails.
         gui: Whether to open PyBullet's window and fly no faster than real time.
 
@@ -84,9 +89,9 @@ class Mission:
         plan: The plan now flown.
         begun_s: When it was swapped in, seconds of the mission.
         pending: The certified answer that is to be swapped in next, or None.
-        wind: What blows; may be added to.
+        wind: What blows.
         answers: The answer to every replanning.
-        swaps: How many of them have been swapped in.
+        swapped: Those of them that have been swapped in.
         touches: Contacts so far.
 
     Raises:
@@ -97,7 +102,7 @@ class Mission:
 
     def __init__(
         self, scene: Scene, plan: Plan, settings: FlightSettings | None = None, *, travel: Travel | None = None,
-        wind: Sequence[Wind] = (), seed: int = 0, force: bool = False, gui: bool = False,
+        wind: Sequence[Wind] = (), seed: int = 0, tracking_margin_m: float = 0.0, force: bool = False, gui: bool = False,
     ) -> None:  # fmt: skip
         check_names(scene, plan)
         if not force:
@@ -105,9 +110,12 @@ class Mission:
         self.settings = settings or FlightSettings()
         self.scene, self.plan, self.begun_s = scene, plan, 0.0
         self.pending: Replanned | None = None
-        self.wind, self.answers, self.swaps = list(wind), list[Replanned](), 0
+        self.answers, self.swapped = list[Replanned](), list[Replanned]()
         self.touches: list[Touch] = []
-        self._first, self._seed, self._is_shown = scene, seed, gui
+        self.wind: list[Wind] = []
+        for blow in wind:
+            self.blow(blow)
+        self._first, self._seed, self._margin_m, self._is_shown = scene, seed, tracking_margin_m, gui
         self._ledger = Ledger(scene, plan)
         self._legs: dict[str, list[Leg]] = {drone.id: [Leg(plan.flights.get(drone.id))] for drone in scene.drones}
         self._reference = pack_flights(scene.drones, plan.flights)
@@ -137,7 +145,7 @@ class Mission:
     @property
     def _times(self) -> FloatArray:
         """(T,) s, of the record."""
-        return np.arange(self._step + 1) * self._step_s
+        return np.arange(self._step + 1, dtype=np.float64) * self._step_s
 
     @property
     def swap_s(self) -> float:
@@ -157,6 +165,11 @@ class Mission:
     def positions(self) -> dict[str, FloatArray]:
         """(3,) m by id of every drone that is not lost."""
         return {drone: state[:3] for drone, state in self.states.items()}
+
+    @property
+    def swaps(self) -> int:
+        """How often the plan has been changed."""
+        return len(self.swapped)
 
     @property
     def serviced(self) -> tuple[str, ...]:
@@ -181,16 +194,26 @@ class Mission:
 
     def finish(self) -> MissionOutcome:
         """Fly the plan, or the one that is pending, to its end and a little longer, and measure all of the flight."""
-        if self.pending is not None:
-            self.advance(self.swap_s)
-        self._fly(max(1, math.ceil((self.end_s + self.settings.settle_s) * self.settings.physics_hz)))
+        self._fly_out()
         flight = Execution(
             self._flown_scene(), self._flights(), self.settings, self._times,
             self._states[: self._step + 1], tuple(self.touches), self._swarm.energy, self._cpu_s,
         )  # fmt: skip
         unserved = self.unserved
         unexplained = tuple(task for task in self.open if task not in unserved)
-        return MissionOutcome(flight, tuple(self.answers), self.swaps, unserved, unexplained)
+        return MissionOutcome(flight, tuple(self.answers), tuple(self.swapped), unserved, unexplained)
+
+    def serve_rest(self) -> None:
+        """Fly to the plan's end, and set off again for tasks that are still open as long as that serves any of them."""
+        for _ in range(MOST_RETURNS):
+            self._fly_out()
+            if not self.open or not any(self.replan(Changes()).plan.routes.values()):
+                return
+
+    def _fly_out(self) -> None:
+        if self.pending is not None:
+            self.advance(self.swap_s)
+        self._fly(max(1, math.ceil((self.end_s + self.settings.settle_s) * self.settings.physics_hz)))
 
     def _fly(self, last: int) -> None:
         """Fly on to a step, with a swap on the way if it is due."""
@@ -210,7 +233,7 @@ class Mission:
         first, wall, cpu = self._step, time.monotonic(), time.thread_time()
         for step in range(first, last):
             now_s = step * step_s
-            air = sum(blow(now_s) for blow in self.wind) if self.wind else None
+            air = np.sum([blow(now_s) for blow in self.wind], axis=0) if self.wind else None
             self.touches += self._swarm.step(self._reference, now_s - self.begun_s, air, (step + 1) * step_s)
             self._states[step + 1, target] = self._swarm.state
             if self._is_shown:
@@ -258,7 +281,10 @@ class Mission:
         self._ledger.enter(changes, self.now_s)
         freeze_s = 0.0 if self._step == 0 and self._stands_still() else FREEZE_S
         asked = self._ledger.changes(self.scene, self.now_s + freeze_s)
-        answer = replan(self.scene, self.plan, self.now_s - self.begun_s, asked, seed=self._seed, freeze_s=freeze_s)
+        answer = replan(
+            self.scene, self.plan, self.now_s - self.begun_s, asked, seed=self._seed, freeze_s=freeze_s,
+            tracking_margin_m=self._margin_m,
+        )  # fmt: skip
         self.answers.append(answer)
         if answer.plan.status == "certified":
             self.pending = answer
@@ -266,6 +292,30 @@ class Mission:
         else:
             self._ledger.refuse(answer.unserved, "no certified plan that serves it was found from flight")
         return answer
+
+    def strike(self, event: Event) -> Replanned | None:
+        """Let an event happen now: the answer to it, or None if it calls for none.
+
+        Raises:
+            SettingsError: If it names what is not there, leaves nobody to fly, or is a gust in a world without drag.
+            SceneError: If a new task is not valid.
+        """
+        if isinstance(event, Gust):
+            self.blow(event)
+            return None
+        if isinstance(event, TaskRemoved) and event.task in self.serviced:
+            return None
+        return self.replan(event.changes)
+
+    def blow(self, wind: Wind) -> None:
+        """Add to what blows.
+
+        Raises:
+            SettingsError: If the settings leave out drag, through which air is felt.
+        """
+        if not self.settings.has_drag:
+            raise SettingsError("wind", "blows", "needs has_drag, through which air is felt", "set it or leave out the wind")
+        self.wind.append(wind)
 
     def _check(self, changes: Changes) -> None:
         self.scene.replace(tasks=(*self.scene.tasks, *changes.added))
@@ -299,7 +349,7 @@ class Mission:
             self._end_leg(drone, swap_s)
             self._legs[drone].append(Leg(answer.plan.flights.get(drone), swap_s))
         self.scene, self.plan, self.begun_s, self.pending = answer.scene, answer.plan, swap_s, None
-        self.swaps += 1
+        self.swapped.append(answer)
         self._ledger.expect(answer.plan, swap_s)
         self._ledger.reasons |= answer.unserved
         self._follow(self.scene, self.plan)

@@ -33,6 +33,22 @@ MEASURES = (
     ("energy of the rotors' shafts, J", "energy", 1.0, 1),
 )
 
+#: Counts of what happened in flight: words, column.
+COUNTS = (
+    ("events", "events"),
+    ("tasks added", "tasks_added"),
+    ("tasks removed", "tasks_removed"),
+    ("drones lost", "drones_lost"),
+    ("drones late", "drones_late"),
+    ("gusts", "gusts"),
+    ("replannings", "replans"),
+    ("plans swapped in", "swaps"),
+    ("of them certified by the judge anew", "swaps_certified"),
+    ("answers refused, the old plan flown on", "refused"),
+    ("tasks not served, with the reason", "unserved"),
+    ("tasks neither served nor listed", "unexplained"),
+)
+
 #: Times, in milliseconds.
 TIMES = (
     ("allocation or generation", ("allocate_s", "generate_s")),
@@ -40,12 +56,20 @@ TIMES = (
     ("decoding and deconfliction (the repair)", ("decode_s", "deconflict_s")),
     ("whole plan, with bound and certificate", ("plan_s",)),
     ("flight", ("flight_s",)),
+    ("longest replanning of a flight", ("replan_s",)),
 )
 
 
 def flawless(row: Mapping[str, Any]) -> bool:
-    """Whether a flight was certified, served every task and touched nothing."""
-    return row["status"] == "certified" and row["execution_completion"] == 1.0 and row["contacts"] == 0
+    """Whether a flight was certified, served every task and touched nothing.
+
+    After events also whether every plan that was swapped in was certified; tasks not served must be listed with a reason.
+    """
+    if row["status"] != "certified" or row["contacts"] != 0:
+        return False
+    if row.get("events"):
+        return row["unexplained"] == 0 and row["swaps_certified"] == row["swaps"]
+    return row["execution_completion"] == 1.0
 
 
 def summary_text(heading: str, rows: Rows, timings: Rows) -> str:
@@ -58,19 +82,33 @@ def summary_text(heading: str, rows: Rows, timings: Rows) -> str:
         values = factor * np.array([row[column] for row in rows if row[column] is not None], dtype=np.float64)
         cells = [f"{value:.{digits}f}" for value in (values.mean(), values.min(), values.max())] if len(values) else ["n/a"] * 3
         lines.append(f"| {words} | " + " | ".join(cells) + " |")
+    lines += _event_lines(rows)
     lines += ["", "| time, ms | median | 95th percentile |", "|---|---|---|"]
     for words, columns in TIMES:
-        times = [sum(row[column] or 0.0 for column in columns) for row in timings if row["plan_s"] is not None]
+        known = [row for row in timings if any(row.get(column) is not None for column in columns)]
+        times = [sum(row[column] or 0.0 for column in columns) for row in known]
         cells = [f"{1000.0 * float(np.quantile(times, q)):.1f}" for q in (0.5, 0.95)] if times else ["n/a"] * 2
         lines.append(f"| {words} | " + " | ".join(cells) + " |")
     faults = [f"- {row['scene']}: {_fault(row)}" for row in rows if not flawless(row)]
     return "\n".join([*lines, "", *faults]).rstrip() + "\n"
 
 
+def _event_lines(rows: Rows) -> list[str]:
+    """What happened in flight and what came of it, if anything did."""
+    if not any(row.get("events") for row in rows):
+        return []
+    lines = ["", "| in flight | number |", "|---|---|"]
+    return lines + [f"| {words} | {sum(row[column] or 0 for row in rows)} |" for words, column in COUNTS]
+
+
 def _fault(row: Mapping[str, Any]) -> str:
     if row["status"] != "certified":
         return f"{row['status']} {row['failed']}".strip()
-    return f"{row['execution_completion']:.0%} of the tasks served, {row['contacts']} contacts"
+    words = f"{row['execution_completion']:.0%} of the tasks served, {row['contacts']} contacts"
+    if row.get("events"):
+        uncertified = row["swaps"] - row["swaps_certified"]
+        words += f", {row['unexplained']} tasks neither served nor listed, {uncertified} uncertified swaps"
+    return words
 
 
 def draw_summary(rows: Rows, path: Path) -> None:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from time import perf_counter
 from typing import TypeAlias
 
 from flockopt.bundles import bundle_compactness, insertion_cost, tasks_per_drone_std
+from flockopt.certify import certify
 from flockopt.errors import FlockError
 from flockopt.families import generate
 from flockopt.plan import ANY_ANGLE, plan
 from flockopt.planfile import Plan
+from flockopt.replan import FREEZE_S
 from flockopt.scene import Scene
 from flockopt.travel import Travel, compute_travel
-from sim.execute import Execution, execute
+from sim.events import DroneLate, DroneLost, Event, EventSettings, Gust, TaskAdded, TaskRemoved, schedule
+from sim.execution import Execution
+from sim.mission import Mission, MissionOutcome
 from sim.settings import FlightSettings
 
 __all__ = ["COLUMNS", "TIMINGS", "TRACKING_MARGIN_M", "Result", "Trial", "run_trial"]
@@ -27,13 +31,14 @@ COLUMNS = (
     "scene", "planner", "status", "planner_coverage", "execution_completion", "contacts", "min_clearance", "min_separation",
     "mean_tracking_error", "max_tracking_error", "cost", "length", "lower_bound", "gap", "tasks_per_distance",
     "bundle_compactness", "insertion_cost", "episode_steps", "tasks_per_drone_std", "makespan", "energy", "family", "seed",
-    "drones", "tasks", "sha256", "failed",
+    "drones", "tasks", "sha256", "failed", "events", "tasks_added", "tasks_removed", "drones_lost", "drones_late", "gusts",
+    "replans", "swaps", "swaps_certified", "refused", "unserved", "unexplained", "reasons",
 )  # fmt: skip
 
 #: Columns of the table of times, which differ from run to run and are kept apart.
 TIMINGS = (
     "scene", "travel_s", "allocate_s", "generate_s", "bound_s", "decode_s", "deconflict_s", "certify_s", "plan_s", "flight_s",
-    "measure_s", "real_time_factor", "attempts",
+    "measure_s", "real_time_factor", "attempts", "replan_s", "slow_replans",
 )  # fmt: skip
 
 #: Room that plans keep for tracking errors unless told otherwise, metres.
@@ -60,6 +65,7 @@ class Trial:
         force: Whether plans are flown that are not certified.
         tracking_margin_m: Room that plans keep for tracking errors, metres.
         paths: What drones fly along, see `flockopt.plan.plan`.
+        events: What happens in flight, or None for nothing.
     """
 
     family: str
@@ -72,6 +78,7 @@ class Trial:
     force: bool = False
     tracking_margin_m: float = TRACKING_MARGIN_M
     paths: str = ANY_ANGLE
+    events: EventSettings | None = None
 
     @property
     def key(self) -> str:
@@ -92,6 +99,23 @@ class Trial:
             scene, planner=self.planner, time_limit_s=self.time_limit_s, seed=self.seed,
             tracking_margin_m=self.tracking_margin_m, paths=self.paths,
         )  # fmt: skip
+
+    def happenings(self, scene: Scene, made: Plan) -> tuple[Event, ...]:
+        """What happens to the plan in flight."""
+        return () if self.events is None else schedule(scene, made, self.seed, self.events)
+
+    def fly(self, scene: Scene, made: Plan, events: Sequence[Event], *, travel: Travel | None = None) -> MissionOutcome:
+        """Fly the plan, answer what happens, and fly again for tasks that are then still open."""
+        with Mission(
+            scene, made, self.settings, travel=travel, seed=self.seed, tracking_margin_m=self.tracking_margin_m,
+            force=self.force,
+        ) as mission:  # fmt: skip
+            for event in events:
+                mission.advance(event.time_s)
+                mission.strike(event)
+            if events:
+                mission.serve_rest()
+            return mission.finish()
 
     def terms(self) -> dict[str, object]:
         """Everything that it shares with the other flights of a batch."""
@@ -124,12 +148,13 @@ def run_trial(trial: Trial) -> Result:
         row |= _plan_columns(scene, made, travel)
         timing |= {f"{stage}_s": made.timing.get(stage) for stage in STAGES} | {"plan_s": made.timing["total"]}
         if made.status == "certified" or (trial.force and made.flights):
+            events = trial.happenings(scene, made)
             begun = perf_counter()
-            flight = execute(scene, made, trial.settings, force=trial.force, travel=travel)
+            mission = trial.fly(scene, made, events, travel=travel)
             flown = perf_counter()
-            row |= _flight_columns(flight)
-            timing |= {"flight_s": flown - begun, "measure_s": perf_counter() - flown}
-            timing["real_time_factor"] = flight.real_time_factor
+            row |= _flight_columns(mission.flight) | _event_columns(events, mission)
+            timing |= {"flight_s": flown - begun, "measure_s": perf_counter() - flown} | _event_timings(mission)
+            timing["real_time_factor"] = mission.flight.real_time_factor
     except FlockError as fault:
         row |= {"status": "error", "failed": f"{type(fault).__name__}: {fault}"}
     return Result(trial.key, row, timing)
@@ -173,3 +198,26 @@ def _flight_columns(flight: Execution) -> dict[str, Value]:
         "max_tracking_error": outcome.max_tracking_error,
         "energy": float(flight.energy.sum()),
     }
+
+
+def _event_columns(events: Sequence[Event], mission: MissionOutcome) -> dict[str, Value]:
+    """What happened and what came of it; swaps are judged anew, not by what they say of themselves."""
+    kinds = {"tasks_added": TaskAdded, "tasks_removed": TaskRemoved, "drones_lost": DroneLost, "drones_late": DroneLate}
+    return {
+        "events": len(events),
+        **{column: sum(isinstance(event, kind) for event in events) for column, kind in kinds.items()},
+        "gusts": sum(isinstance(event, Gust) for event in events),
+        "replans": len(mission.answers),
+        "swaps": len(mission.swapped),
+        "swaps_certified": sum(certify(answer.scene, answer.plan).certified for answer in mission.swapped),
+        "refused": sum(answer.plan.status != "certified" for answer in mission.answers),
+        "unserved": len(mission.unserved),
+        "unexplained": len(mission.unexplained),
+        "reasons": "; ".join(f"{task}: {reason}" for task, reason in mission.unserved.items()),
+    }
+
+
+def _event_timings(mission: MissionOutcome) -> dict[str, Value]:
+    """The longest replanning, and how many took longer than the old plan is flown on."""
+    seconds = [answer.seconds for answer in mission.answers]
+    return {"replan_s": max(seconds, default=None), "slow_replans": sum(second > FREEZE_S for second in seconds)}
