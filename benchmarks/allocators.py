@@ -8,13 +8,16 @@ from collections.abc import Callable
 from functools import partial
 from typing import TypeAlias
 
+import numpy as np
+
 from benchmarks.peers import solve_pyvrp
 from flockopt import Scene, SettingsError, refine_bundles
 from flockopt.allocate.exact import solve_exact
+from flockopt.allocate.explain import explained
 from flockopt.bundles import Bundles
 from flockopt.travel import Travel
 
-__all__ = ["ALLOCATORS", "Allocator", "allocator"]
+__all__ = ["ALLOCATORS", "Allocator", "allocator", "nearest_task"]
 
 #: Allocates a scene, given its travel and a seed.
 Allocator: TypeAlias = Callable[[Scene, Travel, int], Bundles]
@@ -27,6 +30,23 @@ def _refined(method: str, scene: Scene, travel: Travel, seed: int, time_limit_s:
 def _greedy(scene: Scene, travel: Travel, seed: int, time_limit_s: float | None) -> Bundles:
     """The construction that the search begins with."""
     return refine_bundles(scene, travel=travel, method="search", iterations=0, seed=seed)
+
+
+def nearest_task(scene: Scene, travel: Travel, seed: int, time_limit_s: float | None = None) -> Bundles:
+    """Again and again the shortest way of any drone, from where it is, to any open task it has room for."""
+    routes: list[list[int]] = [[] for _ in scene.drones]
+    left, is_open = scene.capacities.copy(), np.ones(scene.num_tasks, dtype=np.bool_)
+    ahead = travel.start_task.copy()  # (N, M) m
+    while True:
+        allowed = is_open[None] & (scene.demands[None] <= left[:, None])
+        costs = np.where(allowed, ahead, np.inf)
+        drone, task = (int(place) for place in np.unravel_index(costs.argmin(), costs.shape)) if costs.size else (0, 0)
+        if not costs.size or not np.isfinite(costs[drone, task]):
+            return explained(scene, travel, tuple(map(tuple, routes)))
+        routes[drone].append(task)
+        left[drone] -= scene.demands[task]
+        is_open[task] = False
+        ahead[drone] = travel.task_task[travel.drone_class[drone], task]
 
 
 def _exact(scene: Scene, travel: Travel, seed: int, time_limit_s: float | None) -> Bundles:
@@ -44,6 +64,7 @@ ALLOCATORS: dict[str, Callable[[Scene, Travel, int, float | None], Bundles]] = {
     "exact": _exact,
     "lp": partial(_refined, "lp"),
     "greedy": _greedy,
+    "nearest": nearest_task,
     "pyvrp": _pyvrp,
 }
 

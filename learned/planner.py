@@ -27,7 +27,7 @@ from learned.ways import PATHS, LegPlanner, find_ways
 if TYPE_CHECKING:
     from learned.teacher.allocators import Allocator
 
-__all__ = ["bundles_of", "control_points", "magnnet", "magnnet_bundling", "teacher"]
+__all__ = ["bundles_of", "control_points", "magnnet", "magnnet_bundling", "teacher", "teacher_unrefined"]
 
 #: What MAGNNET says of the tasks it leaves.
 ONE_TASK_EACH = "magnnet gives each drone one task at most; plan with magnnet-bundling"
@@ -100,3 +100,4 @@ def _planner(method: str) -> Planner:
 magnnet = _planner("magnnet")
 magnnet_bundling = _planner("magnnet-bundling")
 teacher = _planner("teacher")
+teacher_unrefined = _planner("teacher-unrefined")

@@ -1,0 +1,176 @@
+"""The paper's Table I: allocators by learned policies, with and without bundling and refinement, flown in PyBullet.
+
+    python -m benchmarks.teacher_ablation --scenes 100 --seed 0 --out out/teacher_ablation
+
+Scenes are dealt to the families in turn. Their seeds are a million and up, which no training uses. Writes
+``teacher_ablation.csv`` (a row a scene and method), ``summary.md`` and ``teacher_ablation.png``; killed and started again
+it goes on where it stopped. Every method's bundles are flown along any-angle paths, certified or not, so that a
+policy that leaves tasks out is measured too; the costs of the same bundles on voxel grids stand beside.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from benchmarks.allocators import nearest_task
+from benchmarks.report import Rows, write_summary
+from benchmarks.table_one import draw, summary
+from flockopt import FlockError, SettingsError, reading
+from flockopt.allocate.exact import solve_exact
+from flockopt.backends import BACKENDS
+from flockopt.families import FAMILIES
+from flockopt.plan import PLANNERS, Proposal, Request, classical
+from flockopt.progress_bar import ProgressBar
+from flockopt.scene import Scene
+from learned import planner as learned_planner
+from learned.ways import PATHS, find_ways
+from sim.batch import run_batch
+from sim.journal import Journal
+from sim.trial import Result, Trial, run_trial
+
+__all__ = ["METHODS", "main"]
+
+#: Seeds of scenes that no training has seen begin here.
+HELD_OUT = 1_000_000
+
+#: Seconds the exact method may take to prove an optimum.
+PROOF_S = 60.0
+
+#: Bundles by a method, and what else is known of them.
+Method: TypeAlias = Callable[[Request], tuple[Proposal, dict[str, float]]]
+
+
+def _plainly(planner: Callable[[Request], Proposal], request: Request) -> tuple[Proposal, dict[str, float]]:
+    return planner(request), {}
+
+
+def _nearest(request: Request) -> tuple[Proposal, dict[str, float]]:
+    return Proposal(nearest_task(request.scene, request.travel, request.seed)), {}
+
+
+def _exact(request: Request) -> tuple[Proposal, dict[str, float]]:
+    result = solve_exact(request.scene, request.travel, time_limit_s=PROOF_S, seed=request.seed)
+    return Proposal(result.bundles), {"proven": result.proven, "is_optimal": float(result.status == "optimal")}
+
+
+#: Methods by name, in the order of the table.
+METHODS: dict[str, Method] = {
+    "magnnet": partial(_plainly, learned_planner.magnnet),
+    "magnnet-bundling": partial(_plainly, learned_planner.magnnet_bundling),
+    "teacher": partial(_plainly, learned_planner.teacher),
+    "teacher-unrefined": partial(_plainly, learned_planner.teacher_unrefined),
+    "nearest": _nearest,
+    "search": partial(_plainly, classical),
+    "exact": _exact,
+}
+
+Record: TypeAlias = dict[str, Any]
+
+COLUMNS = (
+    "scene", "family", "seed", "method", "status", "failed", "planner_coverage", "execution_completion", "contacts", "cost",
+    "cost_voxel26", "cost_voxel6", "length", "bundle_compactness", "insertion_cost", "tasks_per_distance", "episode_steps",
+    "tasks_per_drone_std", "makespan", "lower_bound", "gap_to_optimum", "is_optimal", "allocate_s",
+)  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the benchmark; 0 if every method but MAGNNET served all tasks of all scenes in flight."""
+    options = _parser().parse_args(argv)
+    try:
+        records = _records(options)
+    except FlockError as fault:
+        print(f"benchmarks.teacher_ablation: {fault}", file=sys.stderr)
+        return 2
+    rows = Rows(options.out / "teacher_ablation.csv", COLUMNS)
+    for record in records:
+        rows.add({column: "" if record.get(column) is None else record[column] for column in COLUMNS})
+    rows.close()
+    write_summary(options.out, summary(records))
+    draw(records, options.out / "teacher_ablation.png")
+    return 0 if all(record["execution_completion"] == 1.0 for record in records if record["method"] != "magnnet") else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.teacher_ablation", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--scenes", type=int, default=100, help="how many, over all families (default 100)")
+    parser.add_argument("--seed", type=int, default=0, help="added to a million, the first held-out seed (default 0)")
+    parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=list(FAMILIES), help="dealt scenes in turn")
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS), help="what to compare")
+    parser.add_argument("--drones", type=int, default=10, help="in each scene (default 10)")
+    parser.add_argument("--tasks", type=int, default=20, help="in each scene (default 20)")
+    parser.add_argument("--jobs", type=int, default=1, help="flights side by side (default 1)")
+    parser.add_argument("--backend", default="loky", help=f"where they run: {', '.join(BACKENDS)} (default loky: processes)")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
+    return parser
+
+
+def _records(options: argparse.Namespace) -> list[Record]:
+    """All rows, flown now or before."""
+    scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
+    jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
+    first = HELD_OUT + reading.integer(SettingsError, "seed", options.seed, least=0)
+    cases = [(options.families[index % len(options.families)], first + index) for index in range(scenes)]
+    bar = ProgressBar(len(options.methods) * scenes)
+    found: dict[tuple[str, str], Record] = {}
+    for method in options.methods:
+        trials = [Trial(family, options.drones, options.tasks, seed, method, force=True) for family, seed in cases]
+        terms = trials[0].terms() | {"family": sorted(options.families)}
+        with Journal(options.out / method, terms) as journal:
+            for trial in trials:
+                if trial.key in journal:
+                    bar.advance("")
+            run_batch(
+                trials, journal, jobs=jobs, backend=options.backend, work=fly,
+                done=lambda result, method=method: bar.advance(f"{method} {result.key}"), warn=bar.note,
+            )  # fmt: skip
+            for trial in trials:
+                result = journal.results[trial.key]
+                found[method, trial.key] = {**result.row, "method": method, "allocate_s": result.timing.get("allocate_s")}
+    bar.close()
+    return _compared(found)
+
+
+def fly(trial: Trial) -> Result:
+    """Allocate by the method that the trial's planner names, plan, fly, and price the bundles on voxel grids too."""
+    known: dict[str, Any] = {}
+
+    def propose(request: Request) -> Proposal:
+        proposal, more = METHODS[trial.planner](request)
+        known.update(more, proposal=proposal, scene=request.scene)
+        return proposal
+
+    # a name of its own, since other threads fly other scenes by the same method
+    name = f"{trial.planner}:{trial.key}"
+    PLANNERS[name] = propose
+    try:
+        result = run_trial(replace(trial, planner=name))
+    finally:
+        del PLANNERS[name]
+    proposal, scene = known.pop("proposal", None), known.pop("scene", None)
+    costs = {} if proposal is None else _voxel_costs(scene, proposal)
+    return Result(result.key, {**result.row, "planner": trial.planner, **known, **costs}, result.timing)
+
+
+def _voxel_costs(scene: Scene, proposal: Proposal) -> dict[str, float]:
+    grids = [paths for paths in PATHS if paths.startswith("voxel")]
+    return {f"cost_{paths}": find_ways(scene, paths).travel.total(proposal.bundles.routes) for paths in grids}
+
+
+def _compared(found: Mapping[tuple[str, str], Record]) -> list[Record]:
+    """The rows with their gaps to the optimum, where that is proven; plans that leave tasks out have none."""
+    for (_, scene), record in found.items():
+        exact = found.get(("exact", scene), {})
+        is_whole = record["planner_coverage"] == 1.0 and record["cost"] is not None
+        if exact.get("is_optimal") and is_whole:
+            record["gap_to_optimum"] = max(record["cost"] / exact["proven"] - 1.0, 0.0) if exact["proven"] > 0.0 else 0.0
+    return list(found.values())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
