@@ -29,6 +29,7 @@ class FlightSettings:
         has_drag: Whether air resists.
         has_downwash: Whether drones feel the air that those above them blow down (only with drag).
         shape: The drones' collision shape, one of `sim.world.SHAPES`.
+        every_step: Whether PyBullet moves all bodies in every step, not only while something is near; the flight is the same.
 
     Raises:
         SettingsError: Naming the field, the value, the rule and the mend.
@@ -43,6 +44,7 @@ class FlightSettings:
     has_drag: bool = True
     has_downwash: bool = False
     shape: str = "ball"
+    every_step: bool = False
 
     def __post_init__(self) -> None:
         for field in ("physics_hz", "attitude_hz", "service_radius"):

@@ -51,7 +51,7 @@ class Swarm:
         self._integrals, self._wind, self._drive, self._spin = (np.zeros((scene.num_drones, 3)) for _ in range(4))
         self._work = np.zeros(scene.num_drones)
         self._step_s = 1.0 / settings.physics_hz
-        self._world = World(scene, vehicles, self._step_s, shape=settings.shape, gui=gui)
+        self._world = World(scene, vehicles, self._step_s, shape=settings.shape, gui=gui, every_step=settings.every_step)
 
     def step(self, reference: Reference, clock_s: float, air: FloatArray | None, time_s: float) -> list[Touch]:
         """Move all drones on by one step of the physics.

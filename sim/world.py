@@ -95,7 +95,7 @@ class World:
         step_s: Seconds a step, > 0.
         shape: One of `SHAPES`, the drones' collision shape.
         gui: Whether to open a window; the server is in this process without one otherwise.
-        always: Whether PyBullet moves all bodies in every step, as a window needs it.
+        every_step: Whether PyBullet moves all bodies in every step, as a window needs it.
 
     Raises:
         MissingExtra: If PyBullet is not installed.
@@ -105,11 +105,11 @@ class World:
 
     def __init__(
         self, scene: Scene, vehicles: list[Vehicle], step_s: float, *, shape: str = "ball", gui: bool = False,
-        always: bool = False,
+        every_step: bool = False,
     ) -> None:  # fmt: skip
         if shape not in SHAPES:
             raise SettingsError("shape", f"is {shape!r}", f"must be one of {', '.join(SHAPES)}", "choose one")
-        self._always = always or gui
+        self._every_step = every_step or gui
         self.step_s = reading.number(SettingsError, "step_s", step_s, above=0.0)
         self._scene, self._bullet = scene, load_pybullet()
         self.client: int = self._bullet.connect(self._bullet.GUI if gui else self._bullet.DIRECT)
@@ -160,7 +160,7 @@ class World:
         """
         scene = self._scene
         touches: list[Touch] = []
-        if self._always or within_reach(
+        if self._every_step or within_reach(
             scene.obstacle_table, scene.obstacle_boxes, self._radii, states, drive, self.step_s, REACH_M
         ):
             self._catch_up()

@@ -50,8 +50,8 @@ def crossing():
     return make_scene(drones, [], (PILLAR, Sphere("rock", (8, 8, 1), 0.3))), [(2, 0, 0), (-2, 0, 0), (1, 0, 0)]
 
 
-def test_contacts_are_the_same_whether_pybullet_moves_always_or_only_near_something():
-    runs = [Pushed(*crossing(), always=always).fly(3.0) for always in (False, True)]
+def test_contacts_are_the_same_whether_pybullet_moves_in_every_step_or_only_near_something():
+    runs = [Pushed(*crossing(), every_step=every_step).fly(3.0) for every_step in (False, True)]
     assert {(touch.drone, touch.other) for touch in runs[0].touches} >= {("d0", "d1")}
     assert runs[0].touches == runs[1].touches
     np.testing.assert_allclose(runs[0].states, runs[1].states, atol=1e-6)
@@ -59,17 +59,17 @@ def test_contacts_are_the_same_whether_pybullet_moves_always_or_only_near_someth
 
 
 def test_bodies_are_where_the_drones_are_without_being_read():
-    run = Pushed(*crossing(), always=True).fly(0.5)
+    run = Pushed(*crossing(), every_step=True).fly(0.5)
     np.testing.assert_allclose(run.poses(), run.states[:, :3], atol=1e-9)
 
 
 @pytest.mark.parametrize("shape", world.SHAPES)
-def test_flights_are_the_same_either_way(monkeypatch, shape):
+def test_flights_are_the_same_either_way(shape):
     scene = make_scene([drone(0, (1, 5, 1)), drone(1, (9, 5.4, 1.2))], [(9, 4.5, 1), (1, 5.6, 1.4)], (PILLAR,))
     made = plan(scene, bound="fast")
     lazy = execute(scene, made, FlightSettings(shape=shape))
-    monkeypatch.setitem(world.World.__init__.__kwdefaults__, "always", True)
-    np.testing.assert_allclose(execute(scene, made, FlightSettings(shape=shape)).states, lazy.states, atol=1e-9)
+    whole = execute(scene, made, FlightSettings(shape=shape, every_step=True))
+    np.testing.assert_allclose(whole.states, lazy.states, atol=1e-9)
 
 
 @pytest.mark.parametrize(("gap", "is_asked", "touches"), [(0.1, False, 0), (0.03, True, 0), (-0.01, True, 1)])
