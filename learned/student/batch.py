@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from flockopt.geometry import OBSTACLE_COLUMNS
 from learned.student.examples import Example
 from learned.student.obstacle_distance import signed_distance
 
@@ -69,32 +70,31 @@ class Ways:
 
     def scaled(self, points: Tensor) -> Tensor:
         """Points (B, ..., 3) m about the middle of their scene, in halves of its longest side."""
-        shape = (len(points), *[1] * (points.dim() - 2))
+        shape = (-1, *[1] * (points.dim() - 2))
         return (points - self.centre.view(*shape, 3)) / self.half_extent.view(*shape, 1)
 
     def unscaled(self, points: Tensor) -> Tensor:
         """The inverse of `scaled`, metres."""
-        shape = (len(points), *[1] * (points.dim() - 2))
+        shape = (-1, *[1] * (points.dim() - 2))
         return points * self.half_extent.view(*shape, 1) + self.centre.view(*shape, 3)
 
-    def rows(self, chosen: Tensor) -> Ways:
-        """Each drone that ``chosen`` (B, N) names as a scene of its own: R scenes with one drone.
+    def rows(self, scene: Tensor, drone: Tensor) -> Ways:
+        """Some drones, each as a scene of its own: ``drone`` (R,) of ``scene`` (R,) becomes R scenes with one drone.
 
         Of the obstacles only those nearest to the blocked legs stay, at most `MOST_OBSTACLES`.
         """
-        scene = chosen.nonzero()[:, 0]  # (R,)
         per_scene = {name: getattr(self, name)[scene] for name in ("obstacles", "obstacle_mask", "lower", "upper")}
-        if self.obstacles.shape[1] > MOST_OBSTACLES:
-            points, blocked = self.straight[chosen][:, ::THINNING], self.blocked[chosen][:, ::THINNING]  # (R, T / 4, ...)
-            gaps = signed_distance(per_scene["obstacles"][:, None], points[:, :, None])  # (R, T / 4, K)
-            nearest = gaps.masked_fill(~blocked[..., None], torch.inf).amin(dim=1).topk(MOST_OBSTACLES, largest=False)
-            index = nearest.indices.sort(dim=1).values  # (R, most)
-            per_scene["obstacles"] = per_scene["obstacles"].gather(1, index[..., None].expand(-1, -1, self.obstacles.shape[-1]))
-            per_scene["obstacle_mask"] = per_scene["obstacle_mask"].gather(1, index)
         fields = ("straight", "leg_index", "leg_begin", "leg_end", "blocked", "active", "needs")
-        per_drone = {name: getattr(self, name)[chosen][:, None] for name in fields}
-        target = None if self.target is None else self.target[chosen][:, None]
-        return Ways(**per_drone, **per_scene, target=target)
+        per_drone = {name: getattr(self, name)[scene, drone] for name in fields}
+        if self.obstacles.shape[1] > MOST_OBSTACLES:
+            points, blocked = per_drone["straight"][:, ::THINNING], per_drone["blocked"][:, ::THINNING]  # (R, T / 4, ...)
+            gaps = signed_distance(per_scene["obstacles"][:, None], points[:, :, None])  # (R, T / 4, K)
+            nearest = gaps.masked_fill(~blocked[..., None], FAR_AWAY_M).amin(dim=1).topk(MOST_OBSTACLES, largest=False)
+            index = nearest.indices.sort(dim=1).values  # (R, most)
+            per_scene["obstacles"] = per_scene["obstacles"].gather(1, index[..., None].expand(-1, -1, len(OBSTACLE_COLUMNS)))
+            per_scene["obstacle_mask"] = per_scene["obstacle_mask"].gather(1, index)
+        target = None if self.target is None else self.target[scene, drone][:, None]
+        return Ways(**{name: value[:, None] for name, value in per_drone.items()}, **per_scene, target=target)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def ddim(denoise: Callable[[Tensor, Tensor], Tensor], noise: Tensor, steps: int,
     levels = noise_levels(steps, num_noise_levels)
     noisy = noise
     for level, following in pairwise(levels):
-        clean = denoise(noisy, torch.full((len(noise),), level, device=noise.device))
+        clean = denoise(noisy, torch.full((noise.shape[0],), level, device=noise.device))
         rest = (noisy - math.sqrt(signal[level]) * clean) / math.sqrt(1.0 - signal[level])
         noisy = math.sqrt(signal[following]) * clean + math.sqrt(1.0 - signal[following]) * rest
     return noisy

@@ -1,24 +1,22 @@
 """Trajectories from a trained student: the network draws the legs whose straight line is blocked, and only those.
 
-Several tries from different noise cost little; of each leg the shortest try that is clear is kept, or the first where
-none is. "Clear" is before any mending: the polyline through the samples keeps what the scene asks.
+Where the first try is not clear, others are made from different noise; of each leg the shortest that is clear is kept,
+or the first where none is. "Clear" is before any mending: the polyline through the samples, thinned as the decoder thins
+it, keeps what the scene asks.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from flockopt.geometry import FloatArray
-from flockopt.trajectory.waypoints import anchored_legs, leg_clear
+from flockopt.trajectory.waypoints import CHORD_TOLERANCE, anchored_legs, leg_clear, thinned
 from learned.student.batch import FleetBatch, collate
-from learned.student.denoiser import Conditions
 from learned.student.examples import Example
 from learned.student.model import Student
 
@@ -31,7 +29,7 @@ class Drawing:
 
     Attributes:
         samples: (N, T, 3) m.
-        clear: (N,) whether the drone's polyline through samples and anchors is clear.
+        clear: (N,) whether the drone's polyline through samples and anchors is clear, thinned as the decoder thins it.
         num_drawn: Drones that the network was asked about.
     """
 
@@ -56,32 +54,27 @@ def draw(student: Student, examples: Sequence[Example], *, steps: int = 2, tries
         student: In evaluation mode.
         examples: Made for the student's number of samples.
         steps: Of DDIM.
-        tries: How many are drawn for each leg (each fleet, with fleet attention) to choose from.
+        tries: How many are drawn to choose from: the first for all, the others for drones that are not clear yet, if each
+            drone is drawn on its own.
         seed: Of the noise.
     """
     batch = collate(examples)
     apart = not student.settings.fleet_attention
-    wanted = batch.ways.active & batch.ways.blocked.any(dim=-1) if apart else batch.ways.active
-    if not bool(wanted.any()):
-        return [_chosen(one, {}) for one in examples]
-    ways, conditions = student.condition(batch, wanted if apart else None)
-    noise = torch.randn(tries, *ways.straight.shape, generator=torch.Generator().manual_seed(seed))
-    many = dataclasses.replace(ways, **_repeated(ways, tries))
-    points = student.sample(many, _repeated_conditions(conditions, tries), noise.flatten(0, 1), steps)
-    points = points.view(tries, *ways.straight.shape).double().numpy()  # (tries, B or R, N or 1, T, 3)
+    wanted = (batch.ways.active & batch.ways.blocked.any(dim=-1) if apart else batch.ways.active).nonzero()  # (R, 2)
+    generator = torch.Generator().manual_seed(seed)
     drawn: list[dict[int, FloatArray]] = [{} for _ in examples]
-    for row, (index, drone) in enumerate(wanted.nonzero().tolist()):
-        drawn[index][drone] = points[:, row, 0] if apart else points[:, index, drone]
-    return [_chosen(one, tries_of) for one, tries_of in zip(examples, drawn, strict=True)]
-
-
-def _repeated(record: object, tries: int) -> dict[str, Tensor]:
-    tensors = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}  # type: ignore[arg-type]
-    return {name: value.repeat(tries, *[1] * (value.dim() - 1)) for name, value in tensors.items() if isinstance(value, Tensor)}
-
-
-def _repeated_conditions(conditions: Conditions, tries: int) -> Conditions:
-    return dataclasses.replace(conditions, **_repeated(conditions, tries))
+    drawings = [_chosen(one, {}) for one in examples]
+    # With fleet attention a drone's second try would be of another fleet: all are made at once.
+    for count in (1, tries - 1) if apart else (tries,):
+        if not count or not len(wanted):
+            break
+        noise = torch.randn(count, len(wanted), *batch.ways.straight.shape[2:], generator=generator)
+        points = student.draw(batch, *wanted.unbind(dim=1), noise, steps).double().numpy()  # (count, R, T, 3)
+        for row, (index, drone) in enumerate(wanted.tolist()):
+            drawn[index][drone] = np.concatenate([drawn[index].get(drone, points[:0, row]), points[:, row]])
+        drawings = [_chosen(one, tries_of) for one, tries_of in zip(examples, drawn, strict=True)]
+        wanted = torch.tensor([place for place in wanted.tolist() if not drawings[place[0]].clear[place[1]]])
+    return drawings
 
 
 def _chosen(one: Example, tries_of: dict[int, FloatArray]) -> Drawing:
@@ -120,6 +113,7 @@ def _shares_anchors(one: Example, drone: int, tries: FloatArray) -> bool:
 
 def _rank(one: Example, drone: int, legs: Sequence[FloatArray]) -> tuple[bool, float]:
     """Whether some of the legs (V, 3) is blocked, and their length where none is: less is better."""
-    if not all(leg_clear(one.scene, drone, leg) for leg in legs):
+    tolerance = CHORD_TOLERANCE * one.scene.drones[drone].radius
+    if not all(leg_clear(one.scene, drone, thinned(leg, tolerance)) for leg in legs):
         return True, 0.0
     return False, float(sum(np.linalg.norm(np.diff(leg, axis=0), axis=1).sum() for leg in legs))

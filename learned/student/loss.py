@@ -88,8 +88,9 @@ class StudentLoss(nn.Module):
         tokens = student.encoder(batch)
         log_probs = student.allocate(batch, tokens)
         terms = {"allocation": allocation_loss(log_probs, batch.assignment, batch.teaches_allocation)}
-        chosen = None if student.settings.fleet_attention else batch.ways.active & batch.ways.blocked.any(dim=-1)
-        ways, conditions = student.condition(batch, chosen, tokens)
+        blocked = batch.ways.active & batch.ways.blocked.any(dim=-1)
+        rows = None if student.settings.fleet_attention else blocked.nonzero(as_tuple=True)
+        ways, conditions = student.condition(batch, rows, tokens)
         clean = student.clean_samples(ways)
         device, levels = clean.device, student.settings.num_noise_levels
         noise = torch.randn(clean.shape, generator=generator).to(device)

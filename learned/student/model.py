@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +19,8 @@ from learned.student.scene_encoder import SceneEncoder, SceneTokens
 from learned.student.settings import StudentSettings
 
 __all__ = ["Student"]
+
+Record = TypeVar("Record", Ways, Conditions)
 
 
 class Student(nn.Module):
@@ -41,18 +45,18 @@ class Student(nn.Module):
         return self.head(batch, self.encoder(batch) if tokens is None else tokens)
 
     def condition(
-        self, batch: FleetBatch, chosen: Tensor | None = None, tokens: SceneTokens | None = None
+        self, batch: FleetBatch, rows: tuple[Tensor, Tensor] | None = None, tokens: SceneTokens | None = None
     ) -> tuple[Ways, Conditions]:
-        """What the denoiser needs to know for all drones, or for the ``chosen`` (B, N) as scenes of their own.
+        """What the denoiser needs to know for all drones, or for some as scenes of their own: see `Ways.rows`.
 
         Only a student without fleet attention can tell drones apart from their fleet.
         """
         tokens = self.encoder(batch) if tokens is None else tokens
         legs, drones = self.bundle_encoder(batch, tokens)  # (B, N, R + 1, D), (B, N, D)
         ways = batch.ways
-        if chosen is not None:
-            ways, legs, drones = ways.rows(chosen), legs[chosen][:, None], drones[chosen][:, None]
-        index = ways.leg_index[..., None].expand(-1, -1, -1, legs.shape[-1])
+        if rows is not None:
+            ways, legs, drones = ways.rows(*rows), legs[rows][:, None], drones[rows][:, None]
+        index = ways.leg_index[..., None].expand(-1, -1, -1, self.settings.width)
         nearest = self.settings.nearest_obstacles
         features = sample_features(ways, leg_frames(ways), nearest) if nearest else None
         fleet = self.settings.fleet_attention
@@ -73,7 +77,35 @@ class Student(nn.Module):
             return to_points(ways, leg_frames(ways), samples * self.spread)
         return ways.unscaled(samples * self.spread)
 
-    def sample(self, ways: Ways, conditions: Conditions, noise: Tensor, steps: int) -> Tensor:
-        """(B, N, T, 3) m: trajectories from noise by DDIM."""
+    def draw(self, batch: FleetBatch, scene: Tensor, drone: Tensor, noise: Tensor, steps: int) -> Tensor:
+        """(tries, R, T, 3) m: trajectories of some drones, by DDIM from noise (tries, R, T, 3).
+
+        Args:
+            batch: Scenes with bundles.
+            scene: (R,) and
+            drone: (R,) say which drones; with fleet attention the others' noise is zero.
+            noise: Standard normal.
+            steps: Of DDIM.
+        """
+        tries = noise.shape[0]
+        apart = not self.settings.fleet_attention
+        ways, conditions = self.condition(batch, (scene, drone) if apart else None)
+        ways, conditions = _repeated(ways, tries), _repeated(conditions, tries)
+        if apart:
+            whole = noise.flatten(0, 1)[:, None]  # (tries * R, 1, T, 3)
+        else:
+            whole = noise.new_zeros(tries, *batch.ways.straight.shape)
+            whole[:, scene, drone] = noise
+            whole = whole.flatten(0, 1)
         denoise = partial(self.denoiser, conditions=conditions)
-        return self.points(ways, ddim(denoise, noise, steps, self.settings.num_noise_levels))
+        points = self.points(ways, ddim(denoise, whole, steps, self.settings.num_noise_levels))
+        if apart:
+            return points.view(noise.shape)
+        return points.view(tries, *batch.ways.straight.shape)[:, scene, drone]
+
+
+def _repeated(record: Record, tries: int) -> Record:
+    """A record of tensors with its scenes repeated, all of them ``tries`` times."""
+    tensors = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+    several = {name: value.repeat(tries, *[1] * (value.dim() - 1)) for name, value in tensors.items() if value is not None}
+    return dataclasses.replace(record, **several)

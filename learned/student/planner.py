@@ -23,9 +23,10 @@ from flockopt.plan import Proposal, Request, classical
 from flockopt.scene import Scene
 
 if TYPE_CHECKING:
+    from learned.student.inference import Drawing
     from learned.student.model import Student
 
-__all__ = ["WEIGHTS", "hybrid", "learned", "shipped_student"]
+__all__ = ["WEIGHTS", "drawn_plan", "hybrid", "learned", "searched_plan", "shipped_student"]
 
 #: The weights that come with the package.
 WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "student-small.safetensors"
@@ -57,7 +58,13 @@ def shipped_student(path: Path = WEIGHTS) -> Student:
 
 def learned(request: Request) -> Proposal:
     """The network's bundles and flights."""
-    student, scene = shipped_student(), request.scene
+    bundles, drawing, timing = drawn_plan(shipped_student(), request)
+    return Proposal(bundles, None if drawing is None else drawing.samples, timing)
+
+
+def drawn_plan(student: Student, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
+    """Bundles from the head, what the denoiser draws for them if it can, and seconds by stage."""
+    scene = request.scene
     began = perf_counter()
     probabilities = _probabilities(student, scene)
     headed = perf_counter()
@@ -66,14 +73,19 @@ def learned(request: Request) -> Proposal:
         seed=request.seed,
     )  # fmt: skip
     refined = perf_counter()
-    samples = None if bundles.status == "infeasible" else _samples(student, scene, bundles, request.seed)
-    timing = {"head": headed - began, "refine": refined - headed, "generate": perf_counter() - refined}
-    return Proposal(bundles, samples, timing)
+    drawing = _drawing(student, scene, bundles, request.seed)
+    return bundles, drawing, {"head": headed - began, "refine": refined - headed, "generate": perf_counter() - refined}
 
 
 def hybrid(request: Request) -> Proposal:
     """The better of two searches, one of them guided by the network, and the network's flights; else the classical plan."""
-    student, scene = shipped_student(), request.scene
+    bundles, drawing, timing = searched_plan(shipped_student(), request)
+    return Proposal(bundles, None if drawing is None else drawing.samples, timing, otherwise=classical)
+
+
+def searched_plan(student: Student, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
+    """The better bundles of two searches, what the denoiser draws for them if it can, and seconds by stage."""
+    scene = request.scene
     began = perf_counter()
     probabilities = _probabilities(student, scene)
     headed = perf_counter()
@@ -84,9 +96,8 @@ def hybrid(request: Request) -> Proposal:
         found.append(refine_bundles(scene, probabilities, **settings))  # type: ignore[arg-type]
     best = min(found, key=lambda bundles: (len(bundles.unserved), request.travel.total(bundles.routes)))
     searched = perf_counter()
-    samples = None if best.status == "infeasible" else _samples(student, scene, best, request.seed)
-    timing = {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
-    return Proposal(best, samples, timing, otherwise=classical)
+    drawing = _drawing(student, scene, best, request.seed)
+    return best, drawing, {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
 
 
 def _probabilities(student: Student, scene: Scene) -> FloatArray | None:
@@ -101,14 +112,16 @@ def _probabilities(student: Student, scene: Scene) -> FloatArray | None:
     return probabilities if np.isfinite(probabilities).all() else None
 
 
-def _samples(student: Student, scene: Scene, bundles: Bundles, seed: int) -> FloatArray | None:
-    """(N, T, 3) m; None where a drone has more legs than the student has samples: then the paths are flown."""
+def _drawing(student: Student, scene: Scene, bundles: Bundles, seed: int) -> Drawing | None:
+    """The fleet drawn; None where a drone has more legs than the student has samples: then the paths are flown."""
     from learned.student.examples import example
     from learned.student.inference import draw
 
+    if bundles.status == "infeasible":
+        return None
     try:
         base = example(scene, bundles.routes, student.settings.num_samples)
     except SettingsError:
         return None
     (drawing,) = draw(student, [base], steps=STEPS, tries=TRIES, seed=seed)
-    return drawing.samples
+    return drawing
