@@ -86,7 +86,7 @@ def test_a_drone_on_its_own_is_denoised_as_in_its_fleet():
     batch = collate([taught_example("forest", drones=5, tasks=10, seed=1)])
     chosen = batch.ways.blocked.any(dim=-1)
     noise = noise_for(batch)
-    ways, conditions = student.condition(batch, chosen)
+    ways, conditions = student.condition(batch, chosen.nonzero(as_tuple=True))
     with torch.inference_mode():
         alone = student.denoiser(noise[chosen][:, None], torch.full((len(ways.needs),), 500), conditions)
     assert bool(chosen.any()) and torch.allclose(alone[:, 0], denoised(student, batch, noise)[chosen], atol=1e-5)

@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from flockopt import Bundles, MissingExtra, SettingsError, generate, plan  # noqa: E402 - torch may be missing
 from flockopt.plan import PLANNERS, Proposal  # noqa: E402
-from flockopt.trajectory.waypoints import anchored_legs, leg_clear  # noqa: E402
+from flockopt.trajectory.waypoints import anchored_legs, leg_clear, thinned  # noqa: E402
 from learned.student import planner  # noqa: E402
 from learned.student.batch import collate  # noqa: E402
 from learned.student.examples import example  # noqa: E402
@@ -74,7 +74,9 @@ def test_tries_are_chosen_leg_by_leg(planners):
     assert drawing.num_drawn == one.blocked.any(axis=1).sum() > 0
     for drone, route in enumerate(one.routes):
         legs = anchored_legs(one.scene, drone, route, drawing.samples[drone]) if route else []
-        assert drawing.clear[drone] == all(leg_clear(one.scene, drone, leg) for leg in legs)
+        assert drawing.clear[drone] == all(
+            leg_clear(one.scene, drone, thinned(leg, 0.3 * one.scene.radii[drone])) for leg in legs
+        )
         if not one.blocked[drone].any():
             assert np.array_equal(drawing.samples[drone], one.straight[drone])
 

@@ -99,7 +99,7 @@ def test_bad_numbers_of_steps_are_named(steps):
 @pytest.mark.parametrize("config", tuple(TINY))
 def test_a_tiny_network_overfits_eight_scenes(config, tiny, monkeypatch):
     examples = [taught_example("forest", drones=2, tasks=4, seed=seed) for seed in range(8)]
-    settings = TrainingSettings(config, steps=60, scenes_per_step=8, learning_rate=1e-2, warmup_steps=10, clearance_weight=0.0)
+    settings = TrainingSettings(config, steps=100, scenes_per_step=8, learning_rate=1e-2, warmup_steps=10, clearance_weight=0.0)
     trainer = Trainer(settings, examples)
     monkeypatch.setattr(train.FleetBatch, "mirrored", lambda batch, generator: batch)  # eight scenes, not sixty-four
     losses = [trainer.advance() for _ in range(settings.steps)]
