@@ -203,6 +203,22 @@ def test_foreign_and_cut_files_are_named(tmp_path, arrays):
         read_shard(path)
 
 
+def test_a_flipped_byte_is_named_or_changes_nothing(tmp_path, arrays):
+    path = shard_path(tmp_path, 0)
+    write_shard(path, arrays)
+    whole, rng, num_named = path.read_bytes(), np.random.default_rng(0), 0
+    for end in rng.choice([2500, len(whole)], 150):  # the directory of the file is at its end
+        place = len(whole) - 1 - int(rng.integers(end))
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ int(rng.integers(1, 256))]) + whole[place + 1 :])
+        try:
+            found = read_shard(path)
+        except SettingsError:
+            num_named += 1
+        else:
+            assert all((found[name] == array).all() for name, array in arrays.items())
+    assert num_named > 75
+
+
 def test_shards_of_other_lengths_do_not_mix(tmp_path, arrays):
     write_shard(shard_path(tmp_path, 0), arrays)
     short = DemonstrationSettings(replace(SceneMix("forest"), hard_share=0.0), num_samples=32)
