@@ -52,6 +52,8 @@ def _end_fault(scene: Scene, travel: Travel, drone: int) -> str:
 def _task_fault(scene: Scene, travel: Travel, task: int, is_short: bool) -> str:
     """Why no drone serves the task."""
     head, demand = f"tasks[{task}] ({scene.tasks[task].id})", scene.demands[task]
+    if scene.capacities.max() == 0:
+        return f"{head} is left over; no drone has any capacity left; add drones"
     if demand > scene.capacities.max():
         return f"{head} demands {demand:g}, more than any capacity ({scene.capacities.max():g}); split it or raise a capacity"
     able = scene.capacities >= demand

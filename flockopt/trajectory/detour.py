@@ -109,12 +109,14 @@ class Detours:
         return np.array([(SPHERE, *center, *(radius,) * 3, 1.0, 0.0) for center in self.avoided.get(drone, [])]).reshape(-1, 9)
 
     def _waypoints(self, drone: int) -> Waypoints | None:
-        """The drone's waypoints with legs led around what it avoids, and on to its free spot."""
+        """The drone's waypoints with legs led around what it avoids, and on to its free spot; None if there is no way."""
         route = self.bundles[drone]
         legs = self._legs(drone, waypoints_from_paths(self.scene, self.travel, drone, route), route)
         balls = self._balls(drone)
         if drone in self.spots:
             legs.append(np.vstack([legs[-1][-1] if legs else self.scene.starts[drone], self.spots[drone]]))
+        if not legs:  # it only comes to a halt
+            return None
         if len(balls):
             roadmap = self._roadmap(drone, balls)
             legs = [roadmap.path(leg[0], leg[-1])[1] for leg in legs]

@@ -129,3 +129,10 @@ def test_no_delay_helps_two_drones_that_end_at_one_place():
     flights = decode(scene, Bundles(((0,), (1,))))
     curves = [(flight.curve.breakpoints, flight.curve.coefficients) for flight in flights.values()]
     assert schedule(curves, [True, True], np.array(scene.separation_axes), 0.2, 20) is None
+
+
+def test_a_drone_that_only_comes_to_a_halt_has_no_way_around():
+    scene = make_scene([drone(0, (1, 5, 1), velocity=(2.0, 0.0, 0.0)), drone(1, (1.5, 5, 1))], [])
+    bundles = Bundles(((), ()))
+    result = deconflict(scene, bundles, decode(scene, bundles))
+    assert [conflict.drones for conflict in result.unresolved] == [("d0", "d1")]
