@@ -130,6 +130,18 @@ def test_paths_a_planner_does_not_know_are_refused(scene, allocators):
         find_ways(scene, "tunnel")
 
 
+def test_paths_are_an_option_of_the_command_line(root, flockopt, allocators, tmp_path):
+    example = root / "examples/scenes/two-drones.json"
+    status, _, error = flockopt("plan", example, "-o", tmp_path / "p.json", "--paths", "tunnel")
+    assert (status, error.count("\n"), (tmp_path / "p.json").exists()) == (2, 1, False)
+    assert "paths is 'tunnel'; must be one of any-angle for planner 'classical'" in error
+    lengths = []
+    for paths in ("any-angle", "voxel6"):
+        assert flockopt("plan", example, "-o", tmp_path / "p.json", "--planner", "teacher", "--paths", paths)[0] == 0
+        lengths.append(Plan.load(tmp_path / "p.json").cost.length)
+    assert lengths[0] < 0.95 * lengths[1]
+
+
 def test_without_torch_the_extra_is_named(scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "learned.teacher.allocators", None)
     planner._allocator.cache_clear()
