@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
-from flockopt import SceneError, SettingsError, Task, certify, generate, plan, replan
+from flockopt import Cylinder, SceneError, SettingsError, Task, certify, generate, plan, replan
 from flockopt.replan import Changes
 from tests.flights import drone, make_scene
 
@@ -64,6 +66,68 @@ def test_a_lost_drones_tasks_go_to_others(flying):
     splice_is_smooth(scene, old, answer)
 
 
+def test_a_lost_drone_serves_nothing_between_its_loss_and_the_swap(flying):
+    scene, old = flying
+    lost = max(old.flights, key=lambda name: len(old.routes[name]))
+    visit = old.flights[lost].visits[0]
+    answer = replan(scene, old, visit.time - 0.2, Changes(lost=(lost,)), freeze_s=0.3)
+    assert visit.task in served(answer)
+    after = replan(scene, old, visit.time + 0.01, Changes(lost=(lost,)), freeze_s=0.3)
+    assert visit.task not in served(after)
+
+
+def test_a_task_that_was_missed_is_served_by_whoever_is_best(flying):
+    scene, old = flying
+    name = max(old.flights, key=lambda name: len(old.routes[name]))
+    visit = old.flights[name].visits[0]
+    answer = replan(scene, old, visit.time + 0.1, Changes(missed=(visit.task,)))
+    assert answer.plan.status == "certified"
+    assert visit.task in served(answer)
+    assert certify(answer.scene, answer.plan).certified
+
+
+def test_nobody_flies_to_a_task_that_is_no_longer_wanted():
+    scene = make_scene([drone(0, (1, 5, 1))], [(3, 5, 1), (5, 9, 3), (7, 5, 1)])
+    old = plan(scene)
+    answer = replan(scene, old, 0.1, Changes(removed=("t1",)))
+    assert served(answer) == {"t0", "t2"}
+    curve = answer.plan.flights["d0"].curve
+    times = np.linspace(0.0, curve.end_time, 200)
+    assert np.linalg.norm(curve(times) - (5, 9, 3), axis=1).min() > 3.0
+
+
+def test_what_only_a_lost_drone_was_small_enough_for_is_named():
+    pillar = Cylinder("pillar", (5, 5, 2), 0.6, 4.0)
+    scene = make_scene([drone(0, (1, 1, 1)), drone(1, (1, 9, 1), radius=0.3)], [(5, 5.9, 1), (9, 9, 1)], (pillar,))
+    answer = replan(scene, plan(scene), 0.5, Changes(lost=("d0",)))
+    assert answer.plan.status == "certified"
+    assert served(answer) == {"t1"}
+    assert "0.3 m from an obstacle; the smallest drone left needs 0.4 m" in answer.unserved["t0"]
+
+
+def test_where_no_moment_can_be_swapped_at_the_answer_is_uncertified(flying, monkeypatch):
+    def never(*arguments):
+        raise SceneError("drones[1].start", "is too near", "must be apart")
+
+    monkeypatch.setattr(import_module("flockopt.replan"), "hand_over", never)
+    answer = replan(*flying, 1.0, Changes())
+    assert (answer.plan.status, answer.strategy) == ("uncertified", "none")
+
+
+def test_new_flights_keep_room_for_tracking_errors():
+    scene = make_scene([drone(0, (1, 1, 1))], [(2, 1, 1)], (Cylinder("pillar", (5, 5, 2), 0.6, 4.0),))
+    old, added = plan(scene), (Task("new", (9, 9, 1)),)
+    kept_m = []
+    for margin_m in (0.0, 0.05):
+        answer = replan(scene, old, 0.5, Changes(added=added), tracking_margin_m=margin_m)
+        assert answer.plan.status == "certified"
+        kept_m.append(answer.plan.certificate["clearance"].margin)
+    assert kept_m[0] < 0.02
+    assert kept_m[1] > 0.05
+    with pytest.raises(SettingsError, match="tracking_margin_m is -1"):
+        replan(scene, old, 0.5, Changes(), tracking_margin_m=-1.0)
+
+
 def test_what_no_capacity_is_left_for_is_named():
     scene = make_scene([drone(0, (1, 1, 1), 1), drone(1, (1, 9, 1), 1)], [(9, 1, 1), (9, 9, 1)])
     old = plan(scene)
@@ -95,13 +159,16 @@ def test_a_service_in_progress_is_finished_where_it_is():
     assert served(answer) == {"t1"}
 
 
-def test_a_drone_that_is_late_waits():
-    scene = make_scene([drone(0, (1, 1, 1)), drone(1, (1, 9, 1))], [(9, 1, 1), (9, 9, 1)])
+def test_a_drone_that_is_late_waits_no_longer_than_it_is_late():
+    scene = make_scene([drone(0, (1, 1, 1), 1), drone(1, (1, 9, 1), 1)], [(9, 1, 1), (9, 9, 1)])
     old = plan(scene)
-    grounded = plan(make_scene([drone(0, (1, 1, 1))], [(9, 1, 1)]))
-    answer = replan(grounded_scene := make_scene([drone(0, (1, 1, 1))], [(9, 1, 1)]), grounded, 0.0, Changes(), freeze_s=0.1)
+    answer = replan(scene, old, 0.0, Changes(late={"d0": 2.0}), freeze_s=0.0)
     assert answer.plan.status == "certified"
-    assert grounded_scene.num_tasks == len(served(answer))
+    assert answer.swap_s == 0.0
+    assert answer.plan.flights["d0"].curve.start_time == pytest.approx(2.0)
+    assert answer.plan.flights["d1"].curve.start_time == pytest.approx(0.0)
+    again = replan(answer.scene, answer.plan, 1.0, Changes(late={"d0": 0.7}))
+    assert again.plan.flights["d0"].curve.start_time == pytest.approx(0.7)
     with pytest.raises(SettingsError, match="late"):
         replan(scene, old, 1.0, Changes(late={"d0": 2.0}))
 

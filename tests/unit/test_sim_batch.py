@@ -22,6 +22,7 @@ from flockopt.backends import BACKENDS, open_backend
 from sim import evaluate
 from sim.batch import MOST_DEATHS, run_batch
 from sim.journal import ROWS, Journal
+from sim.summary import flawless
 from sim.trial import COLUMNS, Result, Trial, run_trial
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -114,19 +115,73 @@ def test_evaluate_writes_what_it_says(tmp_path, capsys):
     assert {"summary.md", "summary.png", "timings.csv"} <= {path.name for path in tmp_path.iterdir()}
 
 
-def test_killed_and_resumed_gives_the_same_table(tmp_path):
-    clean, broken = tmp_path / "clean", tmp_path / "broken"
-    assert evaluate.main([*SMALL, "--out", str(clean), "--backend", "threading", "--jobs", "2"]) == 0
-    command = [sys.executable, "-m", "sim.evaluate", *SMALL, "--out", str(broken)]
+def _kill_after_a_flight(words, folder):
+    """Evaluate in a process of its own and kill it when its first flight is done."""
+    command = [sys.executable, "-m", "sim.evaluate", *words]
     run = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    rows = broken / ROWS
+    rows = folder / ROWS
     while run.poll() is None and not (rows.exists() and rows.stat().st_size):
         time.sleep(0.005)
     run.kill()
     run.wait()
+
+
+def test_killed_and_resumed_gives_the_same_table(tmp_path):
+    clean, broken = tmp_path / "clean", tmp_path / "broken"
+    assert evaluate.main([*SMALL, "--out", str(clean), "--backend", "threading", "--jobs", "2"]) == 0
+    _kill_after_a_flight([*SMALL, "--out", str(broken)], broken)
     assert evaluate.main([*SMALL, "--out", str(broken)]) == 0
     assert (broken / "flights.csv").read_bytes() == (clean / "flights.csv").read_bytes()
-    assert len(rows.read_bytes().splitlines()) == 3
+    assert len((broken / ROWS).read_bytes().splitlines()) == 3
+
+
+STRUCK = ["--family", "rooms", "--drones", "3", "--tasks", "5", "--scenes", "3", "--events", "3", "--no-movie"]
+
+
+@pytest.fixture(scope="module")
+def struck(tmp_path_factory):
+    """A folder of flights that were struck by events."""
+    folder = tmp_path_factory.mktemp("struck")
+    assert evaluate.main([*STRUCK, "--out", str(folder)]) == 0
+    return folder
+
+
+def test_every_task_is_accounted_for_after_events(struck):
+    with (struck / "flights.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    happened = ("tasks_added", "tasks_removed", "drones_lost", "drones_late", "gusts")
+    for row in rows:
+        assert sum(int(row[column]) for column in happened) == int(row["events"]) == 3
+        assert (row["unexplained"], row["contacts"], row["swaps"]) == ("0", "0", row["swaps_certified"])
+        assert float(row["execution_completion"]) == 1.0 or row["reasons"]
+    assert sum(int(row["swaps"]) for row in rows) > 0
+    assert "tasks neither served nor listed | 0" in (struck / "summary.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_other_backends_give_the_same_events_and_numbers(struck, tmp_path, backend):
+    assert evaluate.main([*STRUCK, "--out", str(tmp_path), "--backend", backend, "--jobs", "2"]) == 0
+    assert (tmp_path / "flights.csv").read_bytes() == (struck / "flights.csv").read_bytes()
+
+
+def test_killed_among_events_and_resumed_gives_the_same_table(struck, tmp_path):
+    _kill_after_a_flight([*STRUCK, "--out", str(tmp_path)], tmp_path)
+    assert evaluate.main([*STRUCK, "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "flights.csv").read_bytes() == (struck / "flights.csv").read_bytes()
+    with pytest.raises(SettingsError, match="holds flights with events"):
+        Journal(tmp_path, FIRST.terms() | {"drones": 3, "tasks": 5})
+
+
+@pytest.mark.parametrize(
+    ("row", "good"),
+    [
+        ({}, True), ({"unexplained": 1}, False), ({"swaps_certified": 1}, False), ({"contacts": 1}, False),
+        ({"execution_completion": 0.9, "unserved": 1}, True), ({"events": 0, "execution_completion": 0.9}, False),
+    ],
+)  # fmt: skip
+def test_flights_after_events_are_flawless_when_all_is_accounted_for(row, good):
+    clean = {"status": "certified", "contacts": 0, "execution_completion": 1.0, "events": 4, "unexplained": 0}
+    assert flawless(clean | {"swaps": 2, "swaps_certified": 2, "unserved": 0} | row) is good
 
 
 @pytest.mark.parametrize(
@@ -142,6 +197,9 @@ def test_killed_and_resumed_gives_the_same_table(tmp_path):
         (["--jobs", "0"], "jobs is 0"),
         (["--drones", "0"], "drones is 0"),
         (["--time-limit", "nan"], "time-limit is nan"),
+        (["--events", "-1"], "events is -1"),
+        (["--events", "2", "--event-kinds", "quake"], "kinds hold 'quake'"),
+        (["--events", "2", "--gust", "0"], "gust_mps is 0"),
     ],
 )
 def test_bad_input_is_named_in_one_line(tmp_path, capsys, arguments, words):

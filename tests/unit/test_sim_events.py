@@ -31,7 +31,7 @@ def test_events_are_in_order_and_within_the_flight(flying):
         times = [event.time_s for event in events]
         assert len(events) == 8
         assert times == sorted(times)
-        assert 0.0 <= times[0]
+        assert times[0] >= 0.0
         assert times[-1] <= 0.5 * made.cost.makespan
 
 
@@ -98,5 +98,5 @@ def test_bad_settings_are_named(field, value):
 
 @pytest.mark.parametrize("kinds", [(), ("lost", "quake")])
 def test_unknown_kinds_are_named(kinds):
-    with pytest.raises(SettingsError, match="^kinds hold"):
+    with pytest.raises(SettingsError, match=r"^kinds hold"):
         EventSettings(kinds=kinds)
