@@ -141,7 +141,7 @@ VEHICLES: Mapping[str, Vehicle] = MappingProxyType(
         "quad_2kg": Vehicle(
             mass=2.0, inertia=(0.022, 0.022, 0.04), arm=0.16, thrust_curve=(0.0, 0.0, 2.4e-7), torque_curve=(0.0, 0.0, 3.8e-9),
             thrust_to_torque=3.8e-9 / 2.4e-7, spin_up=(14.0, 0.0), spin_down=(0.0, 0.0014), drag=(0.25, 0.25, 0.35),
-            least_thrust=0.4, most_thrust=10.0, rotor_radius=0.19, rotor_rate=50.0, attitude_rate=14.0, position_rate=4.0,
+            least_thrust=0.4, most_thrust=10.0, rotor_radius=0.19, rotor_rate=50.0, attitude_rate=14.0, position_rate=5.0,
         ),
     }
 )  # fmt: skip
