@@ -7,7 +7,7 @@ piece and after its last one it holds still, as a drone does in a plan.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -97,7 +97,7 @@ class Curve:
     @cached_property
     def length(self) -> float:
         """Metres flown: the integral of speed by 16-point Gauss-Legendre quadrature on each piece."""
-        nodes, weights = np.polynomial.legendre.leggauss(16)
+        nodes, weights = _gauss_legendre(16)
         spans = np.diff(self.breakpoints)
         times = self.breakpoints[:-1, None] + spans[:, None] * (nodes + 1) / 2  # (K, 16)
         speeds = np.linalg.norm(self(times, 1), axis=-1)
@@ -129,6 +129,12 @@ class Curve:
     def at_most_degree(self, degree: int) -> bool:
         """Whether no piece has a term above the given degree."""
         return not self.coefficients[:, :, degree + 1 :].any()
+
+
+@cache
+def _gauss_legendre(num_nodes: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes in [-1, 1] and weights; finding them takes longer than using them."""
+    return np.polynomial.legendre.leggauss(num_nodes)
 
 
 @dataclass(frozen=True)
