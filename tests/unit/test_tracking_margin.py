@@ -149,3 +149,16 @@ def test_travel_of_routes_holds_the_routes_own_legs():
         for leg in zip((START, *route), route, strict=False):
             np.testing.assert_allclose(part.path(index, *leg)[[0, -1]], whole.path(index, *leg)[[0, -1]])
     assert np.isinf(part.task_task[0, 3, 4])
+
+
+def test_flown_positions_keep_what_the_scene_asks():
+    """In this scene flights without a margin have undercut the clearance."""
+    pytest.importorskip("pybullet", reason="pybullet comes with the extra 'sim'")
+    from sim.execute import execute
+
+    scene = generate("rooms", drones=10, tasks=20, seed=6)
+    bare, kept = (execute(scene, plan(scene, seed=6, bound="fast", tracking_margin_m=margin)) for margin in (0.0, MARGIN_M))
+    assert bare.outcome.min_clearance < scene.clearance + 0.01
+    assert kept.outcome.min_clearance > scene.clearance + 0.5 * MARGIN_M
+    assert kept.outcome.min_separation > scene.separation
+    assert kept.outcome.max_tracking_error < MARGIN_M
