@@ -30,7 +30,7 @@ from flockopt.trajectory.decode import decode
 from flockopt.trajectory.deconflict import deconflict
 from flockopt.trajectory.smooth import smooth
 from flockopt.trajectory.smooth_program import load_casadi
-from flockopt.trajectory.tracking_margin import margins, roomier
+from flockopt.trajectory.tracking_margin import is_enough, margins, roomier
 from flockopt.travel import Travel, compute_travel
 
 __all__ = [
@@ -220,7 +220,7 @@ def _finish(
         draft = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
         with clock.stage("certify", 0.9):
             certificate = certify(scene, draft, travel=travel, bound=proof)
-        if certificate.certified:
+        if is_enough(certificate):
             break
     return replace(draft, status="certified" if certificate.certified else "uncertified", certificate=certificate)
 

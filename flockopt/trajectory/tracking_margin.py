@@ -19,12 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flockopt.bundles import Bundles
+from flockopt.certificate import Certificate
 from flockopt.geometry import FloatArray, distances
 from flockopt.kernels import segment_distances
 from flockopt.scene import Bounds, Box, Cylinder, Obstacle, Scene
 from flockopt.travel import END, START, Travel, compute_travel
 
-__all__ = ["margins", "roomier"]
+__all__ = ["is_enough", "margins", "roomier"]
+
+#: Clauses that no other margin mends: they are about who serves what.
+ALLOCATED = ("coverage", "capacity", "bound")
 
 #: Share of the room beside starts, tasks and ends that the margin may take: what is left lets curves pass through them. At one
 #: half a grown box, whose corners move outwards by more than its faces, stays clear of them too.
@@ -42,6 +46,11 @@ def margins(margin_m: float) -> tuple[tuple[float, float], ...]:
     if margin_m == 0.0:
         return ((0.0, 0.0),)
     return (margin_m, 2.0 * margin_m), (margin_m, 0.0), (0.0, 0.0)
+
+
+def is_enough(certificate: Certificate) -> bool:
+    """Whether a smaller margin would mend nothing of what a certificate finds."""
+    return all(clause.name in ALLOCATED for clause in certificate.failed)
 
 
 def roomier(scene: Scene, travel: Travel, bundles: Bundles, clearance_m: float, separation_m: float) -> tuple[Scene, Travel]:
