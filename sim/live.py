@@ -16,6 +16,8 @@ from sim.trial import TRACKING_MARGIN_M
 
 __all__ = ["main"]
 
+BAD_INPUT, INTERRUPTED = 2, 130
+
 PICTURES_PER_S = 30.0
 
 DEFAULT_PORT, MOST_PORT = 8080, 65535
@@ -36,7 +38,8 @@ examples:
   python -m sim.live examples/scenes/rotterdam.json
   python -m sim.live forest.json --speed 2 --spare 5 --port 9000
 
-exit status: 0 after Ctrl-C; 2 bad input (one line on stderr says what and how to mend it)"""
+exit status: 0 after Ctrl-C; 130 after Ctrl-C before the page is up; 2 bad input (one line on stderr says what and how to
+mend it)"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,7 +55,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             _serve(session, options.port)
     except FlockError as fault:
         print(f"sim.live: {fault}", file=sys.stderr)
-        return 2
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return INTERRUPTED
     return 0
 
 

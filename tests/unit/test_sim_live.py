@@ -263,6 +263,26 @@ def test_bad_input_is_named(options, words, tmp_path, monkeypatch, capsys):
     assert words in capsys.readouterr().err
 
 
+def test_a_missing_viser_is_named(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert live.main(["scene.json"]) == 2
+    assert "viser is not installed; it comes with the extra 'live'" in capsys.readouterr().err
+
+
+def test_help_teaches(capsys):
+    with pytest.raises(SystemExit):
+        live.main(["--help"])
+    text = capsys.readouterr().out
+    for word in ("click a place", "gust", "Ctrl-C", "examples:", "--spare", "127.0.0.1"):
+        assert word in text
+
+
+def test_scenes_that_cannot_be_certified_are_refused(tmp_path, capsys):
+    make_scene([drone(0, (1, 1, 1), capacity=0)], [(2, 2, 2)]).save(tmp_path / "scene.json")
+    assert live.main([str(tmp_path / "scene.json")]) == 2
+    assert "plan is infeasible" in capsys.readouterr().err
+
+
 def test_the_command_serves_until_ctrl_c(tmp_path, root):
     make_scene([drone(0, (1, 1, 1))], [(2, 2, 2)]).save(tmp_path / "scene.json")
     command = [sys.executable, "-m", "sim.live", "scene.json", "--port", "0"]
