@@ -128,7 +128,7 @@ class EventSettings:
     kinds: tuple[str, ...] = KINDS
     within: float = 0.8
     most_late_s: float = 5.0
-    gust_mps: float = 2.0
+    gust_mps: float = 1.0
     gust_s: float = 1.0
 
     def __post_init__(self) -> None:
@@ -144,7 +144,8 @@ class EventSettings:
 def schedule(scene: Scene, plan: Plan, seed: int, settings: EventSettings | None = None) -> tuple[Event, ...]:
     """What happens to a plan in flight, in order of time; the same for the same seed.
 
-    Drones are late before they take off, at time 0. Some drone is always left.
+    Drones are late before they take off, at time 0. Some drone is always left. A gust that would begin in another one comes
+    after it, so that the air is never faster than a gust is to be.
 
     Args:
         scene: Where it is flown.
@@ -169,7 +170,7 @@ class _Dice:
         self.visits = {visit.task: visit.time for flight in plan.flights.values() for visit in flight.visits}
         self.drones = [drone.id for drone in scene.drones]
         self.punctual = [drone.id for drone in scene.drones if drone.id in plan.flights and not _moves(scene, drone.id)]
-        self.count = 0
+        self.count, self.calm_s = 0, 0.0
 
     def event(self, time_s: float) -> Event:
         """The next event, at this time or, if somebody is late, at the beginning."""
@@ -209,7 +210,9 @@ class _Dice:
 
     def _gust(self, time_s: float) -> Event:
         angle, speed = float(self.rng.uniform(0.0, 2.0 * math.pi)), self.settings.gust_mps
-        return Gust(time_s, self.settings.gust_s, (speed * math.cos(angle), speed * math.sin(angle), 0.0))
+        begin_s = max(time_s, self.calm_s)
+        self.calm_s = begin_s + self.settings.gust_s
+        return Gust(begin_s, self.settings.gust_s, (speed * math.cos(angle), speed * math.sin(angle), 0.0))
 
     def _drawn(self, names: list[str], strike_off: Callable[[str], object]) -> str:
         name = names[int(self.rng.integers(len(names)))]

@@ -32,7 +32,7 @@ def test_events_are_in_order_and_within_the_flight(flying):
         assert len(events) == 8
         assert times == sorted(times)
         assert times[0] >= 0.0
-        assert times[-1] <= 0.5 * made.cost.makespan
+        assert times[-1] <= 0.5 * made.cost.makespan + 8 * EventSettings().gust_s
 
 
 def test_every_event_is_possible(flying):
@@ -85,6 +85,13 @@ def test_a_gust_swells_and_dies_away():
     np.testing.assert_allclose(gust(2.25), [1.5, 0.0, -0.5])
     np.testing.assert_allclose(gust(2.5), [3.0, 0.0, -1.0])
     np.testing.assert_array_equal(gust(3.1), 0.0)
+
+
+def test_gusts_do_not_add_up(flying):
+    for seed in range(10):
+        gusts = schedule(*flying, seed, EventSettings(12, ("gust",), gust_mps=3.0))
+        for moment in np.linspace(0.0, 20.0, 301):
+            assert np.linalg.norm(sum(gust(moment) for gust in gusts)) <= 3.0 + 1e-9
 
 
 @pytest.mark.parametrize(
