@@ -2,12 +2,13 @@
 
 ``learned`` is the network's answer: its head's probabilities refined to bundles, its denoiser's samples as control points;
 it searches no paths, and where a leg comes out blocked the pipeline's decoder mends it. ``hybrid`` searches bundles from
-the head's probabilities and as the classical planner does, keeps the better ones, and hands over to the classical planner
-where a clause of the certificate fails.
+the head's probabilities and as the classical planner does, keeps the better ones, flies what is drawn where that is sooner
+than the shortest path, and hands over to the classical planner where a clause of the certificate fails.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from time import perf_counter
@@ -21,6 +22,8 @@ from flockopt.errors import MissingExtra, SettingsError
 from flockopt.geometry import FloatArray
 from flockopt.plan import Proposal, Request, classical
 from flockopt.scene import Scene
+from flockopt.trajectory.decode import decode
+from flockopt.trajectory.waypoints import waypoints_from_paths
 
 if TYPE_CHECKING:
     from learned.student.inference import Drawing
@@ -39,6 +42,9 @@ STEPS, TRIES = 2, 4
 
 #: What the head's and the denoiser's part of a time limit leaves to the search, for each of the two searches.
 SEARCH_SHARE = 0.45
+
+#: A drawn flight must end sooner than the one along the shortest path by this, seconds.
+LEAST_GAIN_S = 1e-3
 
 
 @cache
@@ -80,7 +86,8 @@ def drawn_plan(student: Student, request: Request) -> tuple[Bundles, Drawing | N
 def hybrid(request: Request) -> Proposal:
     """The better of two searches, one of them guided by the network, and the network's flights; else the classical plan."""
     bundles, drawing, timing = searched_plan(shipped_student(), request)
-    return Proposal(bundles, None if drawing is None else drawing.samples, timing, otherwise=classical)
+    samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
+    return Proposal(bundles, samples, timing, otherwise=classical)
 
 
 def searched_plan(student: Student, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
@@ -100,6 +107,25 @@ def searched_plan(student: Student, request: Request) -> tuple[Bundles, Drawing 
     return best, drawing, {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
 
 
+def _sooner(request: Request, bundles: Bundles, samples: FloatArray) -> FloatArray | None:
+    """The samples of the drones whose drawn flights end before those along shortest paths, and those paths for the others.
+
+    None where no drawn flight does: the pipeline then flies the paths.
+    """
+    scene, travel = request.scene, request.travel
+    drawn, along_paths = decode(scene, bundles, samples, travel=travel), decode(scene, bundles, travel=travel)
+    is_sooner = [
+        drone.id in drawn and drawn[drone.id].curve.end_time < along_paths[drone.id].curve.end_time - LEAST_GAIN_S
+        for drone in scene.drones
+    ]
+    paths = [waypoints_from_paths(scene, travel, drone, route).points for drone, route in enumerate(bundles)]
+    num_samples = samples.shape[1]
+    if not any(is_sooner) or max(map(len, paths)) > num_samples:
+        return None
+    padded = [np.concatenate([path, np.repeat(path[-1:], num_samples - len(path), axis=0)]) for path in paths]
+    return np.where(np.array(is_sooner)[:, None, None], samples, np.stack(padded))
+
+
 def _probabilities(student: Student, scene: Scene) -> FloatArray | None:
     """(N, M) the head's probabilities; None without tasks, or where they are not finite."""
     from learned.student.batch import collate
@@ -113,9 +139,10 @@ def _probabilities(student: Student, scene: Scene) -> FloatArray | None:
 
 
 def _drawing(student: Student, scene: Scene, bundles: Bundles, seed: int) -> Drawing | None:
-    """The fleet drawn; None where a drone has more legs than the student has samples: then the paths are flown."""
+    """The fleet drawn and pulled taut; None where a drone has more legs than there are samples: then the paths are flown."""
     from learned.student.examples import example
     from learned.student.inference import draw
+    from learned.student.pulling import pulled_samples
 
     if bundles.status == "infeasible":
         return None
@@ -124,4 +151,4 @@ def _drawing(student: Student, scene: Scene, bundles: Bundles, seed: int) -> Dra
     except SettingsError:
         return None
     (drawing,) = draw(student, [base], steps=STEPS, tries=TRIES, seed=seed)
-    return drawing
+    return replace(drawing, samples=pulled_samples(base, drawing.samples))

@@ -13,6 +13,7 @@ TensorBoard. Exit status 0, or 2 on bad input.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import math
 import os
 import sys
@@ -23,11 +24,11 @@ import numpy as np
 import torch
 from torch import Tensor, distributed, nn
 
-from flockopt import FlockError
+from flockopt import FlockError, SettingsError
 from flockopt.progress_bar import ProgressBar
 from flockopt.run_folder import RunFolder
 from learned.student.batch import FleetBatch, collate
-from learned.student.checkpoint import restore, save_checkpoint, save_student
+from learned.student.checkpoint import load_student, restore, save_checkpoint, save_student
 from learned.student.dataset import example_of
 from learned.student.examples import Example
 from learned.student.inference import draw
@@ -74,6 +75,19 @@ class Trainer:
         loss = StudentLoss(self.student)
         self.loss: nn.Module = nn.parallel.DistributedDataParallel(loss) if world > 1 else loss
         self.step = 0
+
+    def begin_with(self, path: Path | None) -> str | None:
+        """Take the weights of a student's file, if one is given; the file's digest."""
+        if path is None:
+            return None
+        student = load_student(path)
+        if student.settings != self.student.settings:
+            value = f"holds weights for other settings ({path})"
+            raise SettingsError("begin_with", value, f"must be for {self.settings.config!r}", "choose the config they are for")
+        for name, value in student.state_dict().items():
+            self.student.state_dict()[name].copy_(value)
+            self.average[name].copy_(value)
+        return hashlib.sha256(path.read_bytes()).hexdigest()
 
     def advance(self) -> dict[str, float]:
         """One step of the optimiser; the loss's terms."""
@@ -160,8 +174,19 @@ def _is_bfloat16(precision: str, device: torch.device) -> bool:
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
 
 
-def run(settings: TrainingSettings, data: Sequence[Path], out: Path, rank: int, world: int) -> None:
-    """Train to the end, going on from a checkpoint if there is one."""
+def run(
+    settings: TrainingSettings,
+    data: Sequence[Path],
+    out: Path,
+    rank: int,
+    world: int,
+    begin_with: Path | None,
+    until: int | None,
+) -> None:
+    """Train to the end, or ``until`` a step, going on from a checkpoint if there is one.
+
+    A run that begins with a student's weights fine-tunes them.
+    """
     from torch.utils.tensorboard import SummaryWriter
 
     from learned.shards import load_demonstrations
@@ -173,13 +198,14 @@ def run(settings: TrainingSettings, data: Sequence[Path], out: Path, rank: int, 
     order = np.random.default_rng(settings.seed).permutation(len(examples))
     held_out = [examples[index] for index in order[:num_held_out]]
     trainer = Trainer(settings, [examples[index] for index in order[num_held_out:]] or held_out, rank, world)
-    terms = {"settings": settings.to_dict(), "examples": len(examples)}
+    terms = {"settings": settings.to_dict(), "examples": len(examples), "begin_with": trainer.begin_with(begin_with)}
+    last = settings.steps if until is None else min(until, settings.steps)
     checkpoint = out / "checkpoint.safetensors"
     if checkpoint.exists():
         trainer.step = restore(checkpoint, trainer.student, trainer.average, trainer.optimiser, terms)
     writer = SummaryWriter(str(out / "log"), purge_step=trainer.step) if rank == 0 else None
     bar = ProgressBar(settings.steps, trainer.step) if rank == 0 else None
-    while trainer.step < settings.steps:
+    while trainer.step < last:
         values = trainer.advance()
         if writer is None or bar is None:
             continue
@@ -187,7 +213,7 @@ def run(settings: TrainingSettings, data: Sequence[Path], out: Path, rank: int, 
         if trainer.step % LOG_STEPS == 0:
             for name, value in values.items():
                 writer.add_scalar(f"loss/{name}", value, trainer.step)
-        if trainer.step % CHECKPOINT_STEPS == 0 or trainer.step == settings.steps:
+        if trainer.step % CHECKPOINT_STEPS == 0 or trainer.step == last:
             measured = measure(trainer.averaged(), held_out)
             for name, value in measured.items():
                 writer.add_scalar(f"held_out/{name}", value, trainer.step)
@@ -214,9 +240,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
         if rank == 0:
             with RunFolder(options.out, settings.to_dict(), "a student's training"):
-                run(settings, options.data, options.out, rank, world)
+                run(settings, options.data, options.out, rank, world, options.begin_with, options.until)
         else:
-            run(settings, options.data, options.out, rank, world)
+            run(settings, options.data, options.out, rank, world, options.begin_with, options.until)
     except FlockError as fault:
         print(f"learned.student.train: {fault}", file=sys.stderr)
         return 2
@@ -232,6 +258,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--config", choices=CONFIGS, help=f"(default {defaults.config})")
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders with demonstrations")
     parser.add_argument("--out", type=Path, required=True, help="folder for weights, checkpoint and log")
+    parser.add_argument("--begin-with", type=Path, metavar="WEIGHTS", help="fine-tune a student's weights")
+    parser.add_argument("--until", type=int, metavar="STEP", help="stop there, before the schedule's end")
     parser.add_argument("--precision", choices=PRECISIONS, help=f"(default {defaults.precision})")
     parser.add_argument("--threads", type=int, default=1, help="of torch, for each process (default 1)")
     for name in ("steps", "scenes_per_step", "warmup_steps", "seed"):

@@ -19,6 +19,7 @@ from learned.student.batch import collate  # noqa: E402
 from learned.student.examples import example  # noqa: E402
 from learned.student.inference import draw, task_probabilities  # noqa: E402
 from learned.student.planner import hybrid, learned, shipped_student  # noqa: E402
+from learned.student.pulling import pulled_samples  # noqa: E402
 from tests.student_scenes import random_routes, taught_example, tiny_student  # noqa: E402
 
 
@@ -79,6 +80,18 @@ def test_tries_are_chosen_leg_by_leg(planners):
         )
         if not one.blocked[drone].any():
             assert np.array_equal(drawing.samples[drone], one.straight[drone])
+
+
+def test_pulling_taut_keeps_ways_clear_and_shortens_them():
+    one = taught_example("forest", drones=6, tasks=12, seed=1)
+    pulled = pulled_samples(one, one.target)
+    for drone in np.flatnonzero(one.blocked.any(axis=1)):
+        before, after = (anchored_legs(one.scene, drone, one.routes[drone], samples[drone]) for samples in (one.target, pulled))
+        lengths = [sum(np.linalg.norm(np.diff(leg, axis=0), axis=1).sum() for leg in legs) for legs in (before, after)]
+        assert lengths[1] < lengths[0]
+        assert all(leg_clear(one.scene, drone, leg) for leg in after)
+        for places in (one.leg_begin[drone], one.leg_end[drone]):
+            assert np.array_equal(pulled[drone, places], one.straight[drone, places])
 
 
 def test_batches_of_scenes_are_drawn_as_one_by_one():

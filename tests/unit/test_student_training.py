@@ -146,6 +146,17 @@ def test_a_run_that_is_stopped_ends_with_the_same_weights(demonstrations, tmp_pa
     assert list((tmp_path / "whole" / "log").glob("events*"))
 
 
+def test_weights_can_be_tuned_further(demonstrations, tmp_path, tiny, capsys):
+    assert run(demonstrations, tmp_path / "first", "--steps", "4", "--until", "2") == 0
+    first = tmp_path / "first" / "student.safetensors"
+    options = ("--begin-with", str(first), "--steps", "1", "--warmup-steps", "0", "--learning-rate", "1e-9")
+    assert run(demonstrations, tmp_path / "second", *options) == 0
+    before, after = (load_student(tmp_path / name / "student.safetensors").state_dict() for name in ("first", "second"))
+    assert all(torch.allclose(value, after[name], atol=1e-2) for name, value in before.items())
+    assert run(demonstrations, tmp_path / "third", "--config", "paper", *options) == 2
+    assert "begin_with" in capsys.readouterr().err
+
+
 def test_a_folder_with_another_run_is_refused(demonstrations, tmp_path, tiny, capsys):
     assert run(demonstrations, tmp_path, "--steps", "1") == 0
     assert run(demonstrations, tmp_path, "--steps", "2") == 2
