@@ -104,6 +104,8 @@ def _frame(ground: Image, pixels: _Pixels, flight: Execution, moment: float) -> 
         for visit in () if made is None else made.visits:
             if visit.time <= moment and visit.task in flight.outcome.served:
                 _disc(draw, pixels(places[visit.task]), 0.7 * size, color)
+        if np.isnan(flight.positions[now, i]).any():  # it was lost
+            continue
         trail = pixels(flight.positions[begin : now + 1 : stride, i])
         if len(trail) > 1:
             draw.line([tuple(point) for point in trail.tolist()], fill=color, width=2 * OVERSAMPLING)
