@@ -151,6 +151,10 @@ def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_
             return hand_over(scene, plan, swap_s, changes, now_s), swap_s
         except SceneError:
             continue
+        except SettingsError:
+            if attempt == 1:
+                raise
+            break  # by now a drone that is late would be in motion
     return None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 
 from flockopt.handover import Changes
@@ -59,13 +60,16 @@ class Ledger:
                 begin = begin_s + visit.time
                 self.due.append(Due(begin, begin + self.tasks[visit.task].service_time, drone, visit.task))
 
-    def enter(self, changes: Changes, now_s: float) -> None:
-        """Take down what has happened."""
-        self.tasks |= {task.id: task for task in changes.added}
-        self.removed |= set(changes.removed) - set(self.served)
-        self.lost |= dict.fromkeys(changes.lost, now_s)
-        self.late |= {drone: now_s + seconds for drone, seconds in changes.late.items()}
-        self.due = [due for due in self.due if due.drone not in self.lost]
+    def after(self, changes: Changes, now_s: float) -> Ledger:
+        """The account after something has happened; this one stays as it is."""
+        after = copy(self)
+        after.tasks = self.tasks | {task.id: task for task in changes.added}
+        after.removed = self.removed | (set(changes.removed) - set(self.served))
+        after.served, after.missed, after.reasons = list(self.served), dict(self.missed), dict(self.reasons)
+        after.lost = self.lost | dict.fromkeys(changes.lost, now_s)
+        after.late = self.late | {drone: now_s + seconds for drone, seconds in changes.late.items()}
+        after.due = [due for due in self.due if due.drone not in after.lost]
+        return after
 
     def judge(self, due: Due, metres: float, most: float) -> None:
         """A visit is over: its drone was ``metres`` away at most, where ``most`` are allowed."""

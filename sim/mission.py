@@ -15,9 +15,8 @@ from typing import Self, TypeAlias
 
 import numpy as np
 
-from flockopt.certify import certify
 from flockopt.curve import Flight
-from flockopt.errors import PlanError, SettingsError
+from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray
 from flockopt.handover import Changes
 from flockopt.judging import check_names
@@ -27,13 +26,14 @@ from flockopt.scene import Scene
 from flockopt.travel import Travel
 from sim.events import Event, Gust, TaskRemoved
 from sim.execution import Execution
-from sim.fleet import STATE_WIDTH
 from sim.ledger import Ledger
 from sim.measures import worst_distance
+from sim.recording import Recording
 from sim.reference import pack_flights
 from sim.settings import FlightSettings
 from sim.stitching import Leg, stitched
 from sim.swarm import Swarm
+from sim.takeoff import require_certified
 from sim.world import Touch
 
 __all__ = ["Mission", "MissionOutcome", "Wind"]
@@ -46,9 +46,6 @@ STEP_TOLERANCE = 1e-6
 
 #: How often the fleet sets off again, after it has come to its end, for tasks that are still open.
 MOST_RETURNS = 3
-
-#: Steps of the record that are made room for at first.
-FIRST_STEPS = 2400
 
 
 @dataclass(frozen=True)
@@ -106,7 +103,7 @@ class Mission:
     ) -> None:  # fmt: skip
         check_names(scene, plan)
         if not force:
-            _require_certified(scene, plan, travel)
+            require_certified(scene, plan, travel)
         self.settings = settings or FlightSettings()
         self.scene, self.plan, self.begun_s = scene, plan, 0.0
         self.pending: Replanned | None = None
@@ -121,9 +118,8 @@ class Mission:
         self._reference = pack_flights(scene.drones, plan.flights)
         self._swarm = Swarm(scene, self.settings, gui=gui)
         self._columns = {drone.id: column for column, drone in enumerate(scene.drones)}
-        self._step, self._step_s, self._cpu_s = 0, 1.0 / self.settings.physics_hz, 0.0
-        self._states = np.full((1, scene.num_drones, STATE_WIDTH), np.nan)
-        self._states[0] = self._swarm.state
+        self._step_s, self._cpu_s = 1.0 / self.settings.physics_hz, 0.0
+        self._recording = Recording(self._swarm.state, self._step_s)
 
     def __enter__(self) -> Self:
         return self
@@ -140,12 +136,7 @@ class Mission:
     @property
     def now_s(self) -> float:
         """Seconds since the beginning."""
-        return self._step * self._step_s
-
-    @property
-    def _times(self) -> FloatArray:
-        """(T,) s, of the record."""
-        return np.arange(self._step + 1, dtype=np.float64) * self._step_s
+        return self._recording.now_s
 
     @property
     def swap_s(self) -> float:
@@ -195,9 +186,10 @@ class Mission:
     def finish(self) -> MissionOutcome:
         """Fly the plan, or the one that is pending, to its end and a little longer, and measure all of the flight."""
         self._fly_out()
+        recording = self._recording
         flight = Execution(
-            self._flown_scene(), self._flights(), self.settings, self._times,
-            self._states[: self._step + 1], tuple(self.touches), self._swarm.energy, self._cpu_s,
+            self._flown_scene(), self._flights(), self.settings, recording.times, recording.states, tuple(self.touches),
+            self._swarm.energy, self._cpu_s,
         )  # fmt: skip
         unserved = self.unserved
         unexplained = tuple(task for task in self.open if task not in unserved)
@@ -207,7 +199,10 @@ class Mission:
         """Fly to the plan's end, and set off again for tasks that are still open as long as that serves any of them."""
         for _ in range(MOST_RETURNS):
             self._fly_out()
-            if not self.open or not any(self.replan(Changes()).plan.routes.values()):
+            if not self.open:
+                return
+            plan = self.replan(Changes()).plan
+            if plan.status != "certified" or not any(plan.routes.values()):
                 return
 
     def _fly_out(self) -> None:
@@ -217,7 +212,7 @@ class Mission:
 
     def _fly(self, last: int) -> None:
         """Fly on to a step, with a swap on the way if it is due."""
-        while self._step < last:
+        while self._recording.step < last:
             self._fly_plan(last if self.pending is None else min(last, self._step_at(self.swap_s)))
             self._swap_if_due()
 
@@ -227,37 +222,25 @@ class Mission:
 
     def _fly_plan(self, last: int) -> None:
         """Fly the present plan on to a step."""
-        self._make_room(last)
-        step_s, columns = self._step_s, self._swarm.columns
-        target = slice(None) if len(columns) == self._states.shape[1] else columns
-        first, wall, cpu = self._step, time.monotonic(), time.thread_time()
+        recording, swarm, step_s = self._recording, self._swarm, self._step_s
+        recording.make_room(last)
+        columns = slice(None) if len(swarm.ids) == self._first.num_drones else swarm.columns
+        first, wall, cpu = recording.step, time.monotonic(), time.thread_time()
         for step in range(first, last):
             now_s = step * step_s
             air = np.sum([blow(now_s) for blow in self.wind], axis=0) if self.wind else None
-            self.touches += self._swarm.step(self._reference, now_s - self.begun_s, air, (step + 1) * step_s)
-            self._states[step + 1, target] = self._swarm.state
+            self.touches += swarm.step(self._reference, now_s - self.begun_s, air, (step + 1) * step_s)
+            recording.add(swarm.state, columns)
             if self._is_shown:
                 time.sleep(max(0.0, wall + (step + 1 - first) * step_s - time.monotonic()))
         self._cpu_s += time.thread_time() - cpu
-        self._step = max(self._step, last)
         self._judge_visits()
-
-    def _make_room(self, last: int) -> None:
-        """Let the record hold every step up to ``last``."""
-        if last < len(self._states):
-            return
-        length = max(last + 1, min(2 * len(self._states), len(self._states) + FIRST_STEPS))
-        longer = np.full((length, *self._states.shape[1:]), np.nan)
-        longer[: self._step + 1] = self._states[: self._step + 1]
-        self._states = longer
 
     def _judge_visits(self) -> None:
         """Judge the visits that are over."""
         for due in [due for due in self._ledger.due if due.end_s <= self.now_s]:
-            first = max(0, int(due.begin_s / self._step_s) - 1)
-            track = self._states[first : self._step + 1, self._columns[due.drone], :3]
-            place = self._ledger.tasks[due.task].position
-            away = worst_distance(self._times[first:], track, due.begin_s, due.end_s, place)
+            times, track = self._recording.since(due.begin_s, self._columns[due.drone])
+            away = worst_distance(times, track, due.begin_s, due.end_s, self._ledger.tasks[due.task].position)
             self._ledger.judge(due, away, self.settings.service_radius)
 
     # -- changing the plan ----------------------------------------------------------------------------------
@@ -276,15 +259,15 @@ class Mission:
             SceneError: If a new task is not valid.
         """
         self._check(changes)
-        if changes.lost:
-            self._lose(changes)
-        self._ledger.enter(changes, self.now_s)
-        freeze_s = 0.0 if self._step == 0 and self._stands_still() else FREEZE_S
-        asked = self._ledger.changes(self.scene, self.now_s + freeze_s)
+        ledger = self._ledger.after(changes, self.now_s)
+        freeze_s = 0.0 if self._recording.step == 0 and self._stands_still() else FREEZE_S
+        asked = ledger.changes(self.scene, self.now_s + freeze_s)
         answer = replan(
             self.scene, self.plan, self.now_s - self.begun_s, asked, seed=self._seed, freeze_s=freeze_s,
             tracking_margin_m=self._margin_m,
         )  # fmt: skip
+        self._ledger = ledger
+        self._lose(changes.lost)
         self.answers.append(answer)
         if answer.plan.status == "certified":
             self.pending = answer
@@ -333,17 +316,18 @@ class Mission:
     def _stands_still(self) -> bool:
         return not any(any(drone.velocity) or any(drone.acceleration) for drone in self.scene.drones)
 
-    def _lose(self, changes: Changes) -> None:
+    def _lose(self, lost: Sequence[str]) -> None:
         """Take lost drones out of the world; the others fly the plan on."""
-        for drone in changes.lost:
-            self._end_leg(drone, self.now_s)
-        self._swarm.lose(changes.lost)
-        self._follow(self.scene, self.plan)
+        if lost:
+            for drone in lost:
+                self._end_leg(drone, self.now_s)
+            self._swarm.lose(lost)
+            self._follow()
 
     def _swap_if_due(self) -> None:
         """Fly the pending plan from now on, if its moment has come."""
         answer, swap_s = self.pending, self.swap_s
-        if answer is None or self._step < self._step_at(swap_s):
+        if answer is None or self._recording.step < self._step_at(swap_s):
             return
         for drone in self._swarm.ids:
             self._end_leg(drone, swap_s)
@@ -352,16 +336,16 @@ class Mission:
         self.swapped.append(answer)
         self._ledger.expect(answer.plan, swap_s)
         self._ledger.reasons |= answer.unserved
-        self._follow(self.scene, self.plan)
+        self._follow()
 
     def _end_leg(self, drone: str, until_s: float) -> None:
         last = self._legs[drone][-1]
         self._legs[drone][-1] = Leg(last.flight, last.begin_s, until_s)
 
-    def _follow(self, scene: Scene, plan: Plan) -> None:
-        """Let every drone that is left follow its part of a plan."""
-        drones = {drone.id: drone for drone in scene.drones}
-        self._reference = pack_flights([drones[name] for name in self._swarm.ids], plan.flights)
+    def _follow(self) -> None:
+        """Let every drone that is left follow its part of the plan."""
+        drones = {drone.id: drone for drone in self.scene.drones}
+        self._reference = pack_flights([drones[name] for name in self._swarm.ids], self.plan.flights)
 
     # -- the whole ------------------------------------------------------------------------------------------
 
@@ -372,13 +356,3 @@ class Mission:
 
     def _flights(self) -> dict[str, Flight]:
         return {drone: flight for drone, legs in self._legs.items() if (flight := stitched(legs)) is not None}
-
-
-def _require_certified(scene: Scene, plan: Plan, travel: Travel | None) -> None:
-    mend = "plan the scene again, or fly it all the same with force=True (--force)"
-    if plan.status == "infeasible":
-        raise PlanError("status", f"is 'infeasible' ({plan.reason})", "only certified plans are flown", mend)
-    failed = [clause for clause in certify(scene, plan, travel=travel).clauses if not clause.holds]
-    if failed:
-        words = f"fails ({', '.join(clause.name for clause in failed)}: {failed[0].detail})"
-        raise PlanError("certificate", words, "only certified plans are flown", mend)

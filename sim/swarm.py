@@ -39,7 +39,7 @@ class Swarm:
     def __init__(self, scene: Scene, settings: FlightSettings, *, gui: bool = False) -> None:
         vehicles = vehicles_of(scene, settings.vehicle)
         self.ids = [drone.id for drone in scene.drones]
-        self.columns = np.arange(scene.num_drones)
+        self.columns = np.arange(scene.num_drones, dtype=np.int64)
         self._settings, self._energy = settings, np.zeros(scene.num_drones)
         self._frames = airframes(vehicles)
         self._firmware = np.zeros(scene.num_drones, dtype=MELLINGER)

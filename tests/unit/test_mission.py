@@ -246,6 +246,7 @@ def test_missions_repeat_to_the_last_bit(flying):
         (Changes(removed=("t99",)), SettingsError, "removed names 't99'"),
         (Changes(lost=("x",)), SettingsError, "lost names 'x'"),
         (Changes(late={"x": 1.0}), SettingsError, "late names 'x'"),
+        (Changes(late={"d0": 1.0, "d1": 1.0, "d2": 1.0}), SettingsError, "only a drone that stands still can be late"),
         (Changes(lost=("d0", "d1", "d2")), SettingsError, "leaves no drone"),
         (Changes(added=(Task("t0", (5.0, 1.0, 1.0)),)), SceneError, "t0"),
         (Changes(added=(Task("new", (5.0, 5.0, 1.0)),)), SceneError, "obstacle 'pillar'"),
@@ -259,6 +260,7 @@ def test_changes_that_cannot_be_are_named_and_change_nothing(flying, changes, er
         assert len(mission.positions()) == 3
         assert mission.answers == []
         assert len(mission.open) == 5
+        assert mission.replan(Changes()).plan.status == "certified"
 
 
 def test_a_name_is_not_given_twice(flying):
