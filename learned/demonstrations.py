@@ -26,6 +26,7 @@ from flockopt.run_folder import RunFolder
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from learned.demonstration_scenes import SceneMix, draw_scene, random_bundles
+from learned.planner import allocator, bundles_of, refined
 from learned.rollout import NUM_SAMPLES, roll_out
 from learned.shards import load_demonstrations, pack, read_shard, shard_path, write_shard
 from learned.ways import ANY_ANGLE, PATHS, Ways, find_ways
@@ -48,8 +49,19 @@ def _search(scenes: Sequence[Scene], travels: Sequence[Travel], seeds: Sequence[
     return [refine_bundles(scene, travel=travel, seed=seed) for scene, travel, seed in cases]
 
 
+def _policy(refines: bool, scenes: Sequence[Scene], travels: Sequence[Travel], seeds: Sequence[int]) -> list[Bundles]:
+    """The trained policy's bundles, refined by a short search or not."""
+    allocations = allocator("teacher").bundles(scenes, travels)
+    cases = zip(scenes, travels, seeds, allocations, strict=True)
+    if refines:
+        return [refined(scene, travel, made.routes, seed=seed) for scene, travel, seed, made in cases]
+    return [bundles_of(scene, travel, made.routes, "teacher") for scene, travel, _, made in cases]
+
+
 #: Who makes the bundles of scenes that are not hard.
-TEACHERS: dict[str, Teacher] = {"search": _search}
+TEACHERS: dict[str, Teacher] = {
+    "search": _search, "teacher": partial(_policy, False), "teacher+refine": partial(_policy, True),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

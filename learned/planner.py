@@ -1,8 +1,8 @@
 """The planners that the learned allocators register: ``magnnet``, ``magnnet-bundling`` and ``teacher``.
 
 They fly the paths asked for: any-angle ones, or A*'s on a voxel grid as in the paper (``voxel26``, ``voxel6``), whose
-costs the allocator then sees as well. ``teacher`` refines its bundles; ``magnnet`` gives each drone one task at most and
-says so of the others.
+costs the allocator then sees as well. ``magnnet`` gives each drone one task at most and says so of the others. ``teacher``
+refines what its policy decides: a short search (`refine_bundles`) begins with the policy's bundles.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flockopt.allocate.explain import explained
+from flockopt.allocate.refine import refine_bundles
 from flockopt.bundles import Bundles
 from flockopt.errors import MissingExtra
 from flockopt.geometry import FloatArray
@@ -27,14 +28,32 @@ from learned.ways import PATHS, LegPlanner, find_ways
 if TYPE_CHECKING:
     from learned.teacher.allocators import Allocator
 
-__all__ = ["bundles_of", "control_points", "magnnet", "magnnet_bundling", "teacher", "teacher_unrefined"]
+__all__ = [
+    "allocator",
+    "bundles_of",
+    "control_points",
+    "magnnet",
+    "magnnet_bundling",
+    "refined",
+    "teacher",
+    "teacher_unrefined",
+]
+
+#: How long the search is that refines: a fifteenth of what it takes by itself.
+REFINING_ITERATIONS_A_TASK = 10
 
 #: What MAGNNET says of the tasks it leaves.
 ONE_TASK_EACH = "magnnet gives each drone one task at most; plan with magnnet-bundling"
 
 
 @cache
-def _allocator(method: str) -> Allocator:
+def allocator(method: str) -> Allocator:
+    """A learned allocator with the weights that come with the package, loaded once.
+
+    Raises:
+        SettingsError: If the weights are missing or damaged.
+        MissingExtra: If torch or safetensors is not installed.
+    """
     try:
         from learned.teacher.allocators import load_allocator
     except ImportError as fault:
@@ -42,13 +61,16 @@ def _allocator(method: str) -> Allocator:
     return load_allocator(method)
 
 
-def _propose(request: Request, method: str) -> Proposal:
+def _propose(request: Request, method: str, refines: bool = False) -> Proposal:
     """Bundles by a learned allocator, and the paths asked for as control points where they are not the any-angle ones."""
     began = perf_counter()
     ways = find_ways(request.scene, request.paths, travel=request.travel)
     asked = perf_counter()
-    (allocation,) = _allocator(method).bundles([request.scene], [ways.travel])
+    (allocation,) = allocator(method).bundles([request.scene], [ways.travel])
     bundles = bundles_of(request.scene, ways.travel, allocation.routes, method)
+    decided = perf_counter()
+    if refines:
+        bundles = refined(request.scene, ways.travel, allocation.routes, seed=request.seed, time_limit_s=request.time_limit_s)
     allocated = perf_counter()
     samples = None
     if request.paths != ANY_ANGLE and bundles.status != "infeasible":
@@ -58,8 +80,17 @@ def _propose(request: Request, method: str) -> Proposal:
             room, inside = roomier(request.scene, request.travel, bundles, *margins)
             leg = find_ways(room, request.paths, travel=inside).leg
         samples = control_points(request.scene, bundles, leg)
-    timing = {"oracle": asked - began, "policy": allocated - asked, "legs": perf_counter() - allocated}
+    timing = {"oracle": asked - began, "policy": decided - asked, "refine": allocated - decided}
+    timing["legs"] = perf_counter() - allocated
     return Proposal(bundles, samples, timing, episode_steps=allocation.steps)
+
+
+def refined(
+    scene: Scene, travel: Travel, routes: tuple[tuple[int, ...], ...], *, seed: int = 0, time_limit_s: float | None = None
+) -> Bundles:
+    """Bundles after a short search that begins with these routes; what they leave out is inserted."""
+    iterations = REFINING_ITERATIONS_A_TASK * scene.num_tasks
+    return refine_bundles(scene, travel=travel, warm_start=routes, iterations=iterations, time_limit_s=time_limit_s, seed=seed)
 
 
 def bundles_of(scene: Scene, travel: Travel, routes: tuple[tuple[int, ...], ...], method: str) -> Bundles:
@@ -91,13 +122,13 @@ def control_points(scene: Scene, bundles: Bundles, leg: LegPlanner) -> FloatArra
     return np.stack([np.concatenate([path, np.repeat(path[-1:], most - len(path), axis=0)]) for path in paths])
 
 
-def _planner(method: str) -> Planner:
-    planner = partial(_propose, method=method)
+def _planner(method: str, *, refines: bool = False) -> Planner:
+    planner = partial(_propose, method=method, refines=refines)
     planner.paths = PATHS  # type: ignore[attr-defined]
     return planner
 
 
 magnnet = _planner("magnnet")
 magnnet_bundling = _planner("magnnet-bundling")
-teacher = _planner("teacher")
-teacher_unrefined = _planner("teacher-unrefined")
+teacher = _planner("teacher", refines=True)
+teacher_unrefined = _planner("teacher")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,6 +93,27 @@ def test_scenes_differ_in_size_and_shape():
     usual = [scene for scene in scenes if (scene.num_drones, scene.num_tasks) == (10, 20)]
     assert 0.5 < len(usual) / len(scenes) < 0.9
     assert max(scene.num_drones for scene in scenes) > 12
+
+
+@pytest.mark.parametrize("teacher", ["teacher", "teacher+refine"])
+def test_a_policy_teaches_too(monkeypatch, teacher):
+    class Dealer:
+        """Deals tasks out in turn, all scenes at once."""
+
+        def bundles(self, scenes, travels):
+            assert len(scenes) == len(travels) == 3
+            return [SimpleNamespace(routes=tuple(tuple(range(i, s.num_tasks, s.num_drones)) for i in range(s.num_drones)))
+                    for s in scenes]  # fmt: skip
+
+    monkeypatch.setattr(demonstrations, "allocator", lambda method: Dealer())
+    mix = SceneMix("forest", hard_share=0.0)
+    made = Demonstrations(make_shard(DemonstrationSettings(mix, teacher=teacher), range(3)))
+    in_turn = [np.arange(len(each.tasks)) % len(each.starts) for each in made]
+    dealt = all((each.teacher_drone == drone).all() for each, drone in zip(made, in_turn, strict=True))
+    assert dealt == (teacher == "teacher")
+    searched = Demonstrations(make_shard(DemonstrationSettings(mix), range(3)))
+    costs = [sum(each.teacher_cost for each in those) for those in (made, searched)]
+    assert costs[1] < costs[0] * (0.9 if dealt else 1.02)
 
 
 def test_a_killed_run_goes_on_and_gives_the_same_bytes(tmp_path, small_shards):

@@ -44,7 +44,7 @@ class Allocator:
 @pytest.fixture
 def allocators(monkeypatch):
     made = {method: Allocator(method) for method in ("magnnet", "magnnet-bundling", "teacher")}
-    monkeypatch.setattr(planner, "_allocator", made.__getitem__)
+    monkeypatch.setattr(planner, "allocator", made.__getitem__)
     for method, propose in (("magnnet", planner.magnnet), ("teacher", planner.teacher)):
         monkeypatch.setitem(PLANNERS, method, propose)
     return made
@@ -144,6 +144,6 @@ def test_paths_are_an_option_of_the_command_line(root, flockopt, allocators, tmp
 
 def test_without_torch_the_extra_is_named(scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "learned.teacher.allocators", None)
-    planner._allocator.cache_clear()
+    planner.allocator.cache_clear()
     with pytest.raises(MissingExtra, match="'learned'"):
-        planner._allocator("teacher")
+        planner.allocator("teacher")

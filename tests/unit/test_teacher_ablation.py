@@ -36,7 +36,7 @@ def allocators(monkeypatch):
                 return [Allocation(tuple((drone,) for drone in range(scenes[0].num_drones)), 2)]
             return [Allocation(refine_bundles(scenes[0], travel=travels[0], iterations=0).routes, 3)]
 
-    monkeypatch.setattr(planner, "_allocator", Allocator)
+    monkeypatch.setattr(planner, "allocator", Allocator)
 
 
 def test_nearest_task_is_greedy_by_hand():
@@ -58,7 +58,7 @@ def test_all_methods_are_flown_and_told_apart(allocators, tmp_path, capsys):
     assert len(rows) == 2 * len(teacher_ablation.METHODS)
     for (method, scene), row in rows.items():
         exact = rows["exact", scene]
-        assert scene.split("-")[-1] in ("1000000", "1000001")
+        assert scene.split("-")[-1] in ("0", "1")
         assert float(row["execution_completion"]) == (0.5 if method == "magnnet" else 1.0)
         assert float(row["cost_voxel6"]) > float(row["cost_voxel26"]) > float(row["cost"])
         if method == "magnnet":
