@@ -1,7 +1,7 @@
 """A fleet in flight that takes orders: all that the page shows and its buttons do, without the page.
 
 Orders may come from any thread. The clock stands still while an order is answered; a fleet whose clock cannot wait has
-``FREEZE_S`` seconds for it, since until then it flies the old plan anyway.
+`flockopt.replan.FREEZE_S` seconds for it, since until then it flies the old plan anyway.
 """
 
 from __future__ import annotations
