@@ -1,0 +1,159 @@
+"""The learned allocators: MAGNNET, MAGNNET with bundling, and the teacher, from scenes to bundles.
+
+    allocator = load_allocator("teacher")
+    allocation = allocator.bundles([scene], [compute_travel(scene)])[0]
+    allocation.routes  # which tasks each drone visits, in order
+
+Decisions are the likeliest ones, so equal scenes get equal bundles. Nothing in the networks depends on the number of drones
+or tasks: scenes larger than those of the training work, if less well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from flockopt import reading
+from flockopt.errors import SettingsError
+from flockopt.scene import Scene
+from flockopt.travel import Travel
+from learned.problems import Problems
+from learned.teacher.environment import FleetState, choices, reset
+from learned.teacher.episodes import Actor, Moment, play
+from learned.teacher.networks import load_actor
+
+__all__ = ["ALLOCATORS", "WEIGHTS", "Allocation", "Allocator", "load_allocator"]
+
+#: Where shipped weights are.
+WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
+
+#: How many drone-task pairs are decided on at a time; bounds the memory that large scenes take.
+MOST_PAIRS = 200_000
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """What an allocator answers.
+
+    Attributes:
+        routes: N tuples of task indices in visiting order; tasks in none of them are not served.
+        steps: Episode steps: how often the drones were asked.
+        log_prob: Log-probability of all decisions together.
+    """
+
+    routes: tuple[tuple[int, ...], ...]
+    steps: int
+    log_prob: float
+
+
+@dataclass(frozen=True)
+class Allocator:
+    """An actor, and how it is asked.
+
+    Attributes:
+        method: One of `ALLOCATORS`.
+        actor: The trained network.
+    """
+
+    method: str
+    actor: Actor
+
+    def bundles(self, scenes: Sequence[Scene], travels: Sequence[Travel]) -> list[Allocation]:
+        """Bundles for every scene; scenes are decided together, a memory's worth at a time.
+
+        Args:
+            scenes: At least one.
+            travels: The travel of each.
+
+        Raises:
+            SettingsError: If there is no scene, or not one travel for each.
+        """
+        problems = Problems.of(scenes, travels)
+        if problems.num_tasks == 0:
+            return [Allocation(((),) * scene.num_drones, 0, 0.0) for scene in scenes]
+        at_a_time = max(MOST_PAIRS // (problems.num_drones * problems.num_tasks), 1)
+        found: list[Allocation] = []
+        for begin in range(0, len(scenes), at_a_time):
+            found += self._decided(problems[begin : begin + at_a_time])
+        return [
+            replace(allocation, routes=allocation.routes[: scene.num_drones])
+            for allocation, scene in zip(found, scenes, strict=True)
+        ]
+
+    def _decided(self, problems: Problems) -> list[Allocation]:
+        routes: list[list[list[int]]] = [[[] for _ in range(problems.num_drones)] for _ in range(len(problems))]
+        steps, log_probs = torch.zeros(len(problems)), torch.zeros(len(problems))
+        with torch.inference_mode():
+            for moment in ALLOCATORS[self.method].episodes(self.actor, problems):
+                steps[moment.rows] += 1
+                log_probs[moment.rows] += moment.log_probs.sum(dim=1)
+                for row, drone in (moment.outcome.taken >= 0).nonzero().tolist():
+                    routes[int(moment.rows[row])][drone].append(int(moment.outcome.taken[row, drone]))
+        return [
+            Allocation(tuple(tuple(route) for route in fleet), int(count), float(log_prob))
+            for fleet, count, log_prob in zip(routes, steps, log_probs, strict=True)
+        ]
+
+
+def load_allocator(method: str, weights: str | Path | None = None) -> Allocator:
+    """An allocator with its trained weights.
+
+    Args:
+        method: One of `ALLOCATORS`.
+        weights: Its weight file; None takes the one that comes with the package.
+
+    Raises:
+        SettingsError: On an unknown method, or a weight file that is missing, damaged or foreign.
+    """
+    if method not in ALLOCATORS:
+        value = f"is {reading.shown(method)}"
+        raise SettingsError("method", value, f"must be one of {', '.join(ALLOCATORS)}", "choose one")
+    trained_as = ALLOCATORS[method].trained_as
+    return Allocator(method, load_actor(trained_as, weights or WEIGHTS / f"{trained_as}.safetensors"))
+
+
+def _one_episode(actor: Actor, problems: Problems) -> Iterator[Moment]:
+    """Each drone takes as many tasks as it can carry."""
+    for moment, _ in play(actor, problems):
+        yield moment
+
+
+def _one_task(actor: Actor, problems: Problems) -> Iterator[Moment]:
+    """Each drone takes one task."""
+    for moment, _ in play(actor, problems, slots=1):
+        yield moment
+
+
+def _one_task_again(actor: Actor, problems: Problems) -> Iterator[Moment]:
+    """Each drone takes one task; all are asked again from where their routes end, until they are full or tasks are gone."""
+    state = reset(problems, slots=1)
+    while not bool(choices(problems, state).is_over.all()):
+        for moment, part in play(actor, problems, state=state):
+            _merge(state, moment.rows, part)
+            yield moment
+        state = replace(state, slots=torch.ones_like(state.slots), is_stalled=torch.zeros_like(state.is_stalled))
+
+
+def _merge(state: FleetState, rows: Tensor, part: FleetState) -> None:
+    """Write the state of some episodes into that of all."""
+    for field in fields(FleetState):
+        getattr(state, field.name)[rows] = getattr(part, field.name)
+
+
+@dataclass(frozen=True)
+class _Method:
+    """How an allocator decides, and whose weights it has."""
+
+    trained_as: str
+    episodes: Callable[[Actor, Problems], Iterator[Moment]]
+
+
+ALLOCATORS: dict[str, _Method] = {
+    "magnnet": _Method("magnnet", _one_task),
+    "magnnet-bundling": _Method("magnnet", _one_task_again),
+    "teacher": _Method("teacher", _one_episode),
+}

@@ -1,0 +1,131 @@
+"""Train the teacher or MAGNNET by proximal policy optimisation.
+
+    python -m learned.teacher.train --method teacher --seed 0 --out runs/teacher-0
+
+Writes a checkpoint, ``history.jsonl``, TensorBoard logs and, at the end, ``teacher.safetensors``. Killed and started again
+it goes on where it stopped. With ``--install`` the weights are copied to where the planners look for them. The same seed
+gives the same weights on one machine. Exit status 0, or 2 on bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from flockopt import FlockError, MissingExtra, SettingsError, reading
+from learned.teacher.settings import METHODS, TrainingSettings
+
+__all__ = ["main"]
+
+#: Seconds between lines of progress where stderr is no terminal.
+PATIENCE_S = 30.0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line."""
+    options = _parser().parse_args(argv)
+    try:
+        _train(options)
+    except FlockError as fault:
+        print(f"learned.teacher.train: {fault}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m learned.teacher.train", description=__doc__.split("\n")[0])
+    parser.add_argument("--method", default="teacher", help=f"what to train: {' or '.join(METHODS)} (default teacher)")
+    parser.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
+    parser.add_argument("--out", type=Path, required=True, help="folder for checkpoint, logs and weights")
+    parser.add_argument(
+        "--pool", type=Path, default=Path("runs/teacher/pool"),
+        help="folder of training scenes, made there where missing (default runs/teacher/pool)",
+    )  # fmt: skip
+    parser.add_argument("--jobs", type=int, default=1, help="processes that make missing training scenes (default 1)")
+    parser.add_argument("--threads", type=int, default=1, help="of torch (default 1)")
+    parser.add_argument("--install", action="store_true", help="copy the weights to learned/weights at the end")
+    settings = parser.add_argument_group("settings of the training")
+    for field in dataclasses.fields(TrainingSettings):
+        if field.name not in ("method", "seed"):
+            flag = "--" + field.name.replace("_", "-")
+            settings.add_argument(flag, type=type(field.default), metavar="X", help=f"default {field.default:g}")
+    return parser
+
+
+def _train(options: argparse.Namespace) -> None:
+    names = [field.name for field in dataclasses.fields(TrainingSettings)]
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    settings = TrainingSettings.from_dict(given)
+    threads = reading.integer(SettingsError, "threads", options.threads, least=1)
+    reading.integer(SettingsError, "jobs", options.jobs, least=1)
+    try:
+        import torch
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as fault:
+        raise MissingExtra(fault.name or "torch", "learned") from None
+    from learned.teacher.scene_pool import ScenePool, build_pool
+    from learned.teacher.training import Training, final_weights
+    from learned.teacher.validation import ValidationSet
+
+    _make_folder(options.out)
+    torch.set_num_threads(threads)
+    build_pool(options.pool, jobs=options.jobs)
+    training = Training(settings, ScenePool.load(options.pool), options.out, ValidationSet.make(settings.slots))
+    with SummaryWriter(str(options.out / "tensorboard"), purge_step=training.iteration + 1) as writer:
+        line = _ProgressLine(settings.iterations, training.iteration)
+
+        def report(row: dict[str, float]) -> None:
+            for name, value in row.items():
+                writer.add_scalar(name, value, int(row["iteration"]))
+            line.show(row)
+
+        training.run(report)
+    if options.install:
+        _install(final_weights(options.out, settings.method))
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        value = f"{folder} cannot be used ({fault.strerror})"
+        raise SettingsError("out", value, "must be a folder to write to", "choose another") from None
+
+
+def _install(path: Path) -> None:
+    from learned.teacher.allocators import WEIGHTS
+
+    reading.write_whole(SettingsError, WEIGHTS / path.name, path.read_bytes())
+
+
+class _ProgressLine:
+    """A line on stderr: redrawn on a terminal, elsewhere a new one now and then."""
+
+    def __init__(self, total: int, done: int) -> None:
+        self._total, self._before, self._begun = total, done, time.monotonic()
+        self._live = sys.stderr.isatty()
+        self._told = -PATIENCE_S
+        self._excess = ""
+
+    def show(self, row: dict[str, Any]) -> None:
+        """Tell the figures of an iteration."""
+        done = int(row["iteration"])
+        elapsed = time.monotonic() - self._begun
+        if "excess" in row:
+            self._excess = f", {row['excess']:.2%} above the reference in {row['greedy_steps']:.2f} steps"
+        left = elapsed / max(done - self._before, 1) * (self._total - done)
+        words = f"{done}/{self._total} {left:.0f} s left, return {row['episode_return']:.3f}{self._excess}"
+        if self._live:
+            print(f"\r\x1b[K{words}", end="\n" if done == self._total else "", file=sys.stderr, flush=True)
+        elif elapsed - self._told >= PATIENCE_S or done == self._total:
+            print(words, file=sys.stderr, flush=True)
+            self._told = elapsed
+
+
+if __name__ == "__main__":
+    sys.exit(main())
