@@ -36,7 +36,7 @@ __all__ = ["main"]
 UNSEEN = 50_000_000
 
 #: DDIM steps and tries; 0 steps are the straight lines.
-VARIANTS = ((0, 1), (1, 1), (2, 1), (5, 1), (1, 4), (2, 4), (5, 4), (2, 16))
+VARIANTS = ((0, 1), (1, 1), (2, 1), (5, 1), (2, 4), (2, 16), (2, 64))
 
 ITERATIONS = (0, 20, 100, 1000)
 KINDS = ("forest", "hard")

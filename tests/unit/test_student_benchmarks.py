@@ -1,0 +1,42 @@
+"""The student's benchmarks run to the end on one scene, and their tables hold what their rows do."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from benchmarks import scalability, student_ablation  # noqa: E402 - torch may be missing
+from learned.student.checkpoint import save_student  # noqa: E402
+from tests.student_scenes import tiny_student  # noqa: E402
+
+
+def rows_of(path):
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_ablation_counts_blocked_drones(tmp_path, monkeypatch):
+    student = tiny_student("small")
+    save_student(tmp_path / "tiny.safetensors", student.state_dict(), student.settings, {})
+    monkeypatch.setattr(student_ablation, "VARIANTS", ((0, 1), (2, 1)))
+    monkeypatch.setattr(student_ablation, "ITERATIONS", (0,))
+    command = ["--scenes", "1", "--weights", str(tmp_path / "tiny.safetensors"), "--out", str(tmp_path)]
+    assert student_ablation.main(command) == 0
+    straight, drawn = (row for row in rows_of(tmp_path / "trajectories.csv") if row["kind"] == "hard")
+    assert int(straight["blocked"]) > 0 and int(straight["blocked_clear"]) == 0
+    assert int(straight["drones_clear"]) == int(straight["drones"]) - int(straight["blocked"])
+    assert drawn["blocked"] == straight["blocked"]
+    assert {row["preferences"] for row in rows_of(tmp_path / "allocation.csv")} == {"head", "nearness", "none"}
+    assert "straight lines" in (tmp_path / "summary.md").read_text(encoding="utf-8")
+
+
+def test_scalability_certifies_what_it_times(tmp_path, monkeypatch):
+    monkeypatch.setattr(scalability, "shipped_student", lambda: tiny_student("small"))
+    assert scalability.main(["--scenes", "1", "--tasks", "8", "12", "--out", str(tmp_path)]) == 0
+    rows = rows_of(tmp_path / "scalability.csv")
+    assert [row["pipeline"] for row in rows] == list(scalability.NAMES) * 2
+    assert all(row["certified"] == "True" for row in rows if not row["pipeline"].startswith("voxel"))
+    assert (tmp_path / "scalability.png").stat().st_size > 0
