@@ -58,8 +58,8 @@ class Denoiser(nn.Module):
         batch, num_drones, num_samples, _ = noisy.shape
         patches = self.settings.num_patches
         whole = noisy if conditions.features is None else torch.cat([noisy, conditions.features], dim=-1)
-        tokens = self.samples_in(whole.reshape(batch, num_drones, patches, -1))  # (B, N, P, D)
-        legs = conditions.legs.view(batch, num_drones, patches, self.settings.patch, -1).mean(dim=3)
+        tokens = self.samples_in(whole.reshape(batch, num_drones, patches, self.samples_in.in_features))  # (B, N, P, D)
+        legs = conditions.legs.view(batch, num_drones, patches, self.settings.patch, self.settings.width).mean(dim=3)
         tokens = tokens + self.leg_in(legs) + self.time_embedding
         if self.drone_slots is not None:
             tokens = tokens + self.drone_slots[:num_drones, None]
@@ -115,7 +115,7 @@ class Block(nn.Module):
         batch, count, width = tokens.shape
         shift, scale, gate, mlp_shift, mlp_scale, mlp_gate = self.modulation(vectors).chunk(6, dim=-1)
         normed = self.norms[0](tokens) * (1.0 + scale) + shift
-        query, key, value = self.qkv(normed).view(batch, count, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
+        query, key, value = self.qkv(normed).view(batch, count, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
         mixed = nn.functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
         tokens = tokens + gate * self.out(mixed.transpose(1, 2).reshape(batch, count, width))
         return tokens + mlp_gate * self.mlp(self.norms[1](tokens) * (1.0 + mlp_scale) + mlp_shift)

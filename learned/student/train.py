@@ -73,7 +73,8 @@ class Trainer:
             self.student.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.99)
         )
         loss = StudentLoss(self.student)
-        self.loss: nn.Module = nn.parallel.DistributedDataParallel(loss) if world > 1 else loss
+        # without fleet attention nothing reads the obstacle tokens
+        self.loss: nn.Module = nn.parallel.DistributedDataParallel(loss, find_unused_parameters=True) if world > 1 else loss
         self.step = 0
 
     def begin_with(self, path: Path | None) -> str | None:

@@ -18,10 +18,11 @@ from learned.student.batch import collate  # noqa: E402
 from learned.student.checkpoint import load_student  # noqa: E402
 from learned.student.dataset import scene_of  # noqa: E402
 from learned.student.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
+from learned.student.examples import example, with_ways  # noqa: E402
 from learned.student.loss import allocation_loss, clearance_loss, diffusion_loss  # noqa: E402
 from learned.student.train import Trainer  # noqa: E402
 from learned.student.training_settings import TrainingSettings  # noqa: E402
-from tests.student_scenes import TINY, taught_example  # noqa: E402
+from tests.student_scenes import TINY, random_routes, taught_example  # noqa: E402
 
 
 @pytest.fixture
@@ -106,6 +107,13 @@ def test_a_tiny_network_overfits_eight_scenes(config, tiny, monkeypatch):
     first, last = ({name: np.mean([one[name] for one in part]) for name in losses[0]} for part in (losses[:10], losses[-10:]))
     assert last["allocation"] < 0.6 * first["allocation"]
     assert last["diffusion"] < 0.6 * first["diffusion"]
+
+
+def test_a_step_without_blocked_drones_teaches_allocation_only(tiny):
+    scene = dataclasses.replace(taught_example("forest").scene, obstacles=())
+    one = with_ways(example(scene, random_routes(scene, 0)), [[]] * scene.num_drones)
+    terms = Trainer(TrainingSettings(steps=1, scenes_per_step=2, clearance_from=0.0), [one]).advance()
+    assert terms["diffusion"] == terms["clearance"] == 0.0 < terms["allocation"]
 
 
 def test_demonstrations_become_valid_examples(demonstrations):
