@@ -80,7 +80,7 @@ class _Prices:
         rank: How many tasks are cheaper to the drone.
         rival: The cheapest rival's cost.
         second_rival: The second cheapest rival's.
-        rival_index: int64, the cheapest rival; some drone where there is none.
+        rival_index: int64, the cheapest rival; any drone where there is none.
     """
 
     own: Tensor
@@ -167,14 +167,24 @@ def _pair_features(problems: Problems, state: FleetState, cost: Tensor, capacity
         (problems.demand[:, None, :] / capacity[..., None].clamp(min=1.0)).clamp(max=2.0),
         (own == cheapest).float(),
     ]
-    told += [of_drone.gather(1, prices.rival_index).asinh()
-             for of_drone in (prices.above_own, prices.rank, capacity[..., None].expand_as(own))]  # fmt: skip
-    about_neighbours = (own.asinh(), cheapest.asinh().expand_as(own), (own - prices.rival).asinh())
-    return told + [values.gather(2, neighbours[..., k]) for k in range(2) for values in about_neighbours]
+    has_rival = prices.rival < MISSING
+    of_rival = (prices.above_own, prices.rank, capacity[..., None].expand_as(own))
+    told += [torch.where(has_rival, values.gather(1, prices.rival_index), 0.0).asinh() for values in of_rival]
+    of_neighbour = ((own, MISSING), (cheapest.expand_as(own), MISSING), (own - prices.rival, 0.0))
+    for k in range(2):
+        has_neighbour = legs[..., k] < MISSING
+        told += [
+            torch.where(has_neighbour, values.gather(2, neighbours[..., k]), missing).asinh()
+            for values, missing in of_neighbour
+        ]
+    return told
 
 
 def _neighbours(problems: Problems, state: FleetState) -> tuple[Tensor, Tensor]:
-    """(B, N, M, 2) twice: the legs from each task to its two nearest open tasks, as a drone's class flies, and which."""
+    """(B, N, M, 2) twice: the legs from each task to its two nearest open tasks, as a drone's class flies, and which they are.
+
+    Where there is none the leg is `MISSING`, and the task any.
+    """
     between = problems.task_task / problems.scale[:, None, None, None]  # (B, C, M, M)
     hidden = ~state.is_open[:, None, None, :] | torch.eye(problems.num_tasks, dtype=torch.bool)
     between = torch.where(hidden, MISSING, between.clamp(max=MISSING))

@@ -30,14 +30,14 @@ def masked_mean(values: Tensor, mask: Tensor, dim: int) -> Tensor:
 
 
 def attended(values: Tensor, scores: Tensor, mask: Tensor) -> Tensor:
-    """(..., K, W): mean over the second axis from the end, weighted by the softmax of scores over the entries of a mask.
+    """(..., W): mean along the last axis but one, weighted by the softmax of scores over the entries of a mask.
 
     Args:
         values: (..., A, W).
         scores: (..., A).
-        mask: (..., A) bool; where it has no entry at all the mean is over everything.
+        mask: (..., A) bool; where it has no entry at all the mean is 0.
     """
-    weights = scores.masked_fill(~mask, -1e4).softmax(dim=-1)
+    weights = scores.masked_fill(~mask, -1e4).softmax(dim=-1) * mask
     return (weights[..., None, :] @ values)[..., 0, :]
 
 
