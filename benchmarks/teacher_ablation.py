@@ -23,6 +23,7 @@ from benchmarks.report import Rows, write_summary
 from benchmarks.table_one import draw, summary
 from flockopt import FlockError, SettingsError, reading
 from flockopt.allocate.exact import solve_exact
+from flockopt.allocate.explain import explained
 from flockopt.backends import BACKENDS
 from flockopt.families import FAMILIES
 from flockopt.plan import PLANNERS, Proposal, Request, classical
@@ -54,8 +55,8 @@ def _nearest(request: Request) -> Proposal:
 def _then_refined(planner: Callable[[Request], Proposal], request: Request) -> tuple[Proposal, dict[str, float]]:
     """The same refinement as the teacher's after another method: what it is worth by itself."""
     first = planner(request)
-    bundles = learned_planner.refined(request.scene, request.travel, first.bundles.routes, seed=request.seed)
-    return replace(first, bundles=bundles), {}
+    (routes,) = learned_planner.refined([request.scene], [request.travel], [first.bundles.routes])
+    return replace(first, bundles=explained(request.scene, request.travel, routes)), {}
 
 
 def _exact(request: Request) -> tuple[Proposal, dict[str, float]]:

@@ -50,12 +50,10 @@ def _search(scenes: Sequence[Scene], travels: Sequence[Travel], seeds: Sequence[
 
 
 def _policy(refines: bool, scenes: Sequence[Scene], travels: Sequence[Travel], seeds: Sequence[int]) -> list[Bundles]:
-    """The trained policy's bundles, refined by a short search or not."""
-    allocations = allocator("teacher").bundles(scenes, travels)
-    cases = zip(scenes, travels, seeds, allocations, strict=True)
-    if refines:
-        return [refined(scene, travel, made.routes, seed=seed) for scene, travel, seed, made in cases]
-    return [bundles_of(scene, travel, made.routes, "teacher") for scene, travel, _, made in cases]
+    """The trained policy's bundles, refined or not."""
+    routes = [allocation.routes for allocation in allocator("teacher").bundles(scenes, travels)]
+    routes = refined(scenes, travels, routes) if refines else routes
+    return [bundles_of(scene, travel, own, "teacher") for scene, travel, own in zip(scenes, travels, routes, strict=True)]
 
 
 #: Who makes the bundles of scenes that are not hard.

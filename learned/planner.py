@@ -2,11 +2,13 @@
 
 They fly the paths asked for: any-angle ones, or A*'s on a voxel grid as in the paper (``voxel26``, ``voxel6``), whose
 costs the allocator then sees as well. ``magnnet`` gives each drone one task at most and says so of the others. ``teacher``
-refines what its policy decides: a short search (`refine_bundles`) begins with the policy's bundles.
+inserts what its policy left, which is nothing unless demands or ranges differ, and refines the bundles by local search
+(`learned.teacher.refinement`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache, partial
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -15,6 +17,7 @@ import numpy as np
 
 from flockopt.allocate.explain import explained
 from flockopt.allocate.refine import refine_bundles
+from flockopt.allocate.request import RouteTuple
 from flockopt.bundles import Bundles
 from flockopt.errors import MissingExtra
 from flockopt.geometry import FloatArray
@@ -29,18 +32,8 @@ if TYPE_CHECKING:
     from learned.teacher.allocators import Allocator
 
 __all__ = [
-    "allocator",
-    "bundles_of",
-    "control_points",
-    "magnnet",
-    "magnnet_bundling",
-    "refined",
-    "teacher",
-    "teacher_unrefined",
-]
-
-#: How long the search is that refines: a fifteenth of what it takes by itself.
-REFINING_ITERATIONS_A_TASK = 10
+    "allocator", "bundles_of", "control_points", "magnnet", "magnnet_bundling", "refined", "teacher", "teacher_unrefined",
+]  # fmt: skip
 
 #: What MAGNNET says of the tasks it leaves.
 ONE_TASK_EACH = "magnnet gives each drone one task at most; plan with magnnet-bundling"
@@ -67,10 +60,12 @@ def _propose(request: Request, method: str, refines: bool = False) -> Proposal:
     ways = find_ways(request.scene, request.paths, travel=request.travel)
     asked = perf_counter()
     (allocation,) = allocator(method).bundles([request.scene], [ways.travel])
-    bundles = bundles_of(request.scene, ways.travel, allocation.routes, method)
     decided = perf_counter()
+    routes = allocation.routes
     if refines:
-        bundles = refined(request.scene, ways.travel, allocation.routes, seed=request.seed, time_limit_s=request.time_limit_s)
+        complete = refine_bundles(request.scene, travel=ways.travel, warm_start=routes, iterations=0)  # inserts what is left
+        (routes,) = refined([request.scene], [ways.travel], [complete.routes])
+    bundles = bundles_of(request.scene, ways.travel, routes, method)
     allocated = perf_counter()
     samples = None
     if request.paths != ANY_ANGLE and bundles.status != "infeasible":
@@ -85,15 +80,20 @@ def _propose(request: Request, method: str, refines: bool = False) -> Proposal:
     return Proposal(bundles, samples, timing, episode_steps=allocation.steps)
 
 
-def refined(
-    scene: Scene, travel: Travel, routes: tuple[tuple[int, ...], ...], *, seed: int = 0, time_limit_s: float | None = None
-) -> Bundles:
-    """Bundles after a short search that begins with these routes; what they leave out is inserted."""
-    iterations = REFINING_ITERATIONS_A_TASK * scene.num_tasks
-    return refine_bundles(scene, travel=travel, warm_start=routes, iterations=iterations, time_limit_s=time_limit_s, seed=seed)
+def refined(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence[RouteTuple]) -> list[RouteTuple]:
+    """Bundles of many scenes after the teacher's refinement.
+
+    Raises:
+        MissingExtra: If torch is not installed.
+    """
+    try:
+        from learned.teacher.refinement import refine
+    except ImportError as fault:
+        raise MissingExtra(fault.name or "torch", "learned") from None
+    return refine(scenes, travels, routes)
 
 
-def bundles_of(scene: Scene, travel: Travel, routes: tuple[tuple[int, ...], ...], method: str) -> Bundles:
+def bundles_of(scene: Scene, travel: Travel, routes: RouteTuple, method: str) -> Bundles:
     """A learned allocator's routes as bundles, each task it leaves with the reason.
 
     They are infeasible only where no allocator could do better: a policy that leaves tasks has not proven anything.

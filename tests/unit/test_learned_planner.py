@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -97,6 +98,14 @@ def test_a_policy_that_leaves_tasks_has_proven_nothing(forest):
     assert left.status == "feasible"
     assert [task for task, _ in left.unserved] == [3, 4, 5]
     assert "left over" in left.unserved[0][1]
+
+
+def test_what_a_policy_leaves_is_inserted_before_its_bundles_are_refined(allocators, forest, monkeypatch):
+    leaves = SimpleNamespace(bundles=lambda scenes, travels: [Allocation(((0, 1), (), ()), 2)])
+    monkeypatch.setattr(planner, "allocator", lambda method: leaves)
+    result = plan(forest, planner="teacher")
+    assert result.status == "certified"
+    assert result.cost.travel < 1.1 * plan(forest).cost.travel
 
 
 @pytest.mark.parametrize("paths", PATHS)
