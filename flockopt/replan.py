@@ -9,7 +9,7 @@ certified, the old one goes on as far as the events allow, and what it cannot se
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
@@ -28,7 +28,7 @@ from flockopt.plan import draft_plan, plan_cost
 from flockopt.planfile import Plan
 from flockopt.scene import Scene
 from flockopt.trajectory.decode import fly
-from flockopt.trajectory.deconflict import deconflict
+from flockopt.trajectory.deconflict import Deconflicted, deconflict
 from flockopt.trajectory.tracking_margin import margins, roomier
 from flockopt.trajectory.waypoints import SAME_POINT_M, Waypoints, waypoints_from_paths
 from flockopt.travel import Travel, compute_travel
@@ -85,6 +85,7 @@ def replan(
     seed: int = 0,
     freeze_s: float = FREEZE_S,
     tracking_margin_m: float = 0.0,
+    airborne: Collection[str] = (),
 ) -> Replanned:
     """A certified plan from flight after something has happened.
 
@@ -96,6 +97,8 @@ def replan(
         seed: Of the search.
         freeze_s: Seconds the old plan is flown on before the swap, >= 0; 0 suits a fleet that has not taken off.
         tracking_margin_m: Room that new flights keep for tracking errors, metres, as in `flockopt.plan.plan`.
+        airborne: Ids of drones that hover, as far as the plan does not tell by giving them flights: they may make way even if
+            they have no capacity left, while a drone that never had any is grounded.
 
     Raises:
         SettingsError: If the plan is not certified or for another scene, a time is out of range, or a change names
@@ -109,9 +112,10 @@ def replan(
     if handed_over is None:
         return Replanned(scene, replace(plan, status="uncertified"), now_s, {}, "none", perf_counter() - began)
     situation, swap_s = handed_over
+    hovering = {*airborne, *plan.flights}
     travel = compute_travel(situation.scene)
     for strategy, bundles in _proposals(situation, travel, seed):
-        left, result, unserved = _finish(situation, travel, bundles, strategy, margin_m)
+        left, result, unserved = _finish(situation, travel, bundles, strategy, margin_m, hovering)
         if result.status == "certified":
             break
     return Replanned(left, result, swap_s, situation.unreachable | unserved, strategy, perf_counter() - began)
@@ -205,7 +209,7 @@ def _stops_at_last_task(situation: Situation, index: int) -> bool:
 
 
 def _finish(
-    situation: Situation, travel: Travel, bundles: Bundles, strategy: str, margin_m: float
+    situation: Situation, travel: Travel, bundles: Bundles, strategy: str, margin_m: float, airborne: Collection[str]
 ) -> tuple[Scene, Plan, dict[str, str]]:
     """The scene of what the bundles serve, the plan for it, certified or not, and what is left out."""
     scene = situation.scene
@@ -222,15 +226,26 @@ def _finish(
         room, ways = roomier(scene, travel, bundles, clearance_m, separation_m)
         for rest_s in RESTS_S:
             flights = _flights(situation, room, ways, bundles, rest_s, strategy)
-            flights = deconflict(room, bundles, flights, travel=ways).flights
-            result = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
+            apart = deconflict(room, bundles, flights, travel=ways, airborne=airborne)
+            result = replace(draft, flights=apart.flights, cost=plan_cost(travel, bundles, apart.flights, proof))
             certificate = certify(scene, result, travel=travel, bound=proof)
-            if certificate["separation"].holds:  # a rest helps only against meeting others
+            if certificate["separation"].holds or not _rests_could_help(situation, flights, apart):
                 break
         if certificate.certified:
             break
     status = "certified" if certificate.certified else "uncertified"
     return scene, replace(result, status=status, certificate=certificate), unserved
+
+
+def _rests_could_help(situation: Situation, flights: dict[str, Flight], apart: Deconflicted) -> bool:
+    """Whether a drone that starts in motion, on a new flight, is among those that meet."""
+    met = {name for conflict in apart.unresolved for name in conflict.drones}
+    return any(
+        drone.id in met
+        and (any(drone.velocity) or any(drone.acceleration))
+        and flights.get(drone.id) is not situation.flights.get(drone.id)
+        for drone in situation.scene.drones
+    )
 
 
 def _flights(

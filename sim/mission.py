@@ -78,6 +78,7 @@ class Mission:
         wind: What blows; the sum of all counts, and controllers do not know of it.
         seed: Of the searches that replanning takes.
         tracking_margin_m: Room that new plans keep for tracking errors, metres, as in `flockopt.plan`.
+        freeze_s: How long the old plan is flown on after a change, seconds: what replanning may take.
         force: Fly the plan even if a clause of its certificate fails.
         gui: Whether to open PyBullet's window and fly no faster than real time.
 
@@ -99,7 +100,8 @@ class Mission:
 
     def __init__(
         self, scene: Scene, plan: Plan, settings: FlightSettings | None = None, *, travel: Travel | None = None,
-        wind: Sequence[Wind] = (), seed: int = 0, tracking_margin_m: float = 0.0, force: bool = False, gui: bool = False,
+        wind: Sequence[Wind] = (), seed: int = 0, tracking_margin_m: float = 0.0, freeze_s: float = FREEZE_S, force: bool = False,
+        gui: bool = False,
     ) -> None:  # fmt: skip
         check_names(scene, plan)
         if not force:
@@ -112,7 +114,7 @@ class Mission:
         self.wind: list[Wind] = []
         for blow in wind:
             self.blow(blow)
-        self._first, self._seed, self._margin_m, self._is_shown = scene, seed, tracking_margin_m, gui
+        self._first, self._seed, self._margin_m, self._freeze_s, self._is_shown = scene, seed, tracking_margin_m, freeze_s, gui
         self._ledger = Ledger(scene, plan)
         self._legs: dict[str, list[Leg]] = {drone.id: [Leg(plan.flights.get(drone.id))] for drone in scene.drones}
         self._reference = pack_flights(scene.drones, plan.flights)
@@ -260,11 +262,11 @@ class Mission:
         """
         self._check(changes)
         ledger = self._ledger.after(changes, self.now_s)
-        freeze_s = 0.0 if self._recording.step == 0 and self._stands_still() else FREEZE_S
+        freeze_s = 0.0 if self._recording.step == 0 and self._stands_still() else self._freeze_s
         asked = ledger.changes(self.scene, self.now_s + freeze_s)
         answer = replan(
             self.scene, self.plan, self.now_s - self.begun_s, asked, seed=self._seed, freeze_s=freeze_s,
-            tracking_margin_m=self._margin_m,
+            tracking_margin_m=self._margin_m, airborne=self._airborne(),
         )  # fmt: skip
         self._ledger = ledger
         self._lose(changes.lost)
@@ -312,6 +314,10 @@ class Mission:
                 raise SettingsError("added", f"names {task.id!r} again", "ids must be new", "choose another id")
         if set(self._swarm.ids) <= set(changes.lost):
             raise SettingsError("lost", "leaves no drone", "somebody must be left to fly", "there is nothing to plan")
+
+    def _airborne(self) -> set[str]:
+        """Ids of drones that have had a flight in any plan so far."""
+        return {drone for drone, legs in self._legs.items() if any(leg.flight is not None for leg in legs)}
 
     def _stands_still(self) -> bool:
         return not any(any(drone.velocity) or any(drone.acceleration) for drone in self.scene.drones)

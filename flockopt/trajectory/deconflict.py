@@ -10,6 +10,7 @@ bounded, so it ends.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from flockopt.bundles import Bundles
@@ -41,7 +42,14 @@ class Deconflicted:
     unresolved: tuple[Conflict, ...]
 
 
-def deconflict(scene: Scene, bundles: Bundles, flights: dict[str, Flight], *, travel: Travel | None = None) -> Deconflicted:
+def deconflict(
+    scene: Scene,
+    bundles: Bundles,
+    flights: dict[str, Flight],
+    *,
+    travel: Travel | None = None,
+    airborne: Collection[str] = (),
+) -> Deconflicted:
     """Keep all drones apart over the whole time, parked ones included.
 
     Args:
@@ -49,6 +57,7 @@ def deconflict(scene: Scene, bundles: Bundles, flights: dict[str, Flight], *, tr
         bundles: The routes behind the flights, for drones that have to be flown another way.
         flights: One flight for each drone that moves, by id, as from `decode`; all begin at t = 0.
         travel: The scene's travel, if it is already there.
+        airborne: Ids of drones that may make way although they have no capacity: it is used up, and they hover.
 
     Returns:
         The flights, delayed, slowed or rerouted; every pair that could not be kept apart is listed, never hidden.
@@ -56,7 +65,7 @@ def deconflict(scene: Scene, bundles: Bundles, flights: dict[str, Flight], *, tr
     fleet = Fleet(scene, flights)
     if scene.separation == 0.0 or not fleet.meeting():
         return Deconflicted(flights, ())
-    detours = Detours(scene, bundles, compute_travel(scene) if travel is None else travel)
+    detours = Detours(scene, bundles, compute_travel(scene) if travel is None else travel, airborne)
     for _ in range(4 * scene.num_drones + 8):
         stuck = fleet.find_timing()
         if stuck is None:

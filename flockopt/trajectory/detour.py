@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import pairwise
 
 import numpy as np
@@ -32,10 +33,11 @@ class Detours:
         scene: The scene.
         bundles: The drones' routes.
         travel: The paths behind them.
+        airborne: Ids of drones that may make way although they have no capacity.
     """
 
-    def __init__(self, scene: Scene, bundles: Bundles, travel: Travel) -> None:
-        self.scene, self.bundles, self.travel = scene, bundles, travel
+    def __init__(self, scene: Scene, bundles: Bundles, travel: Travel, airborne: Collection[str] = ()) -> None:
+        self.scene, self.bundles, self.travel, self.airborne = scene, bundles, travel, airborne
         self.avoided: dict[int, list[FloatArray]] = {}
         self.spots: dict[int, FloatArray] = {}
 
@@ -139,7 +141,7 @@ class Detours:
     def _may_move_on(self, drone: int) -> bool:
         """Whether a drone may leave the place where it would park: it has no end and is not grounded."""
         record = self.scene.drones[drone]
-        return record.end is None and record.capacity > 0
+        return record.end is None and (record.capacity > 0 or record.id in self.airborne)
 
     def _free_spot(self, drone: int, parking: FloatArray, curves: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
         """The nearest place, straight from ``parking``, where the drone stands in nobody's way."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -84,6 +85,25 @@ def test_a_task_that_was_missed_is_served_by_whoever_is_best(flying):
     assert answer.plan.status == "certified"
     assert visit.task in served(answer)
     assert certify(answer.scene, answer.plan).certified
+
+
+def test_a_drone_that_has_used_up_its_capacity_makes_way():
+    scene = make_scene([drone(0, (1, 5, 1), 1), drone(1, (9, 9, 1), 2)], [(5, 5, 1), (9, 5, 1)])
+    old = plan(scene)
+    at_task = next(visit.time for visit in old.flights["d0"].visits)
+    answer = replan(scene, old, at_task + 3.0, Changes(added=(Task("new", (5.2, 5, 1)),)))
+    assert (answer.strategy, answer.plan.routes["d1"]) == ("old", ("new",))
+    assert "d0" in answer.plan.flights
+    again = replan(answer.scene, answer.plan, 30.0, Changes())
+    assert "d0" not in again.plan.flights
+    place = tuple(answer.plan.flights["d0"].curve(99.0) + (0.2, 0.0, 0.0))
+    near = Changes(added=(Task("near", place),), lost=())
+    grown = again.scene.replace(
+        drones=tuple(replace(record, capacity=3 * (record.id == "d1")) for record in again.scene.drones)
+    )
+    parked = replace(again.plan, scene_sha256=grown.sha256)
+    assert "near" in replan(grown, parked, 0.0, near).unserved
+    assert served(replan(grown, parked, 0.0, near, airborne=("d0",))) == {"near"}
 
 
 def test_nobody_flies_to_a_task_that_is_no_longer_wanted():
