@@ -100,8 +100,8 @@ class Mission:
 
     def __init__(
         self, scene: Scene, plan: Plan, settings: FlightSettings | None = None, *, travel: Travel | None = None,
-        wind: Sequence[Wind] = (), seed: int = 0, tracking_margin_m: float = 0.0, freeze_s: float = FREEZE_S, force: bool = False,
-        gui: bool = False,
+        wind: Sequence[Wind] = (), seed: int = 0, tracking_margin_m: float = 0.0, freeze_s: float = FREEZE_S,
+        force: bool = False, gui: bool = False,
     ) -> None:  # fmt: skip
         check_names(scene, plan)
         if not force:

@@ -96,11 +96,10 @@ def test_a_drone_that_has_used_up_its_capacity_makes_way():
     assert "d0" in answer.plan.flights
     again = replan(answer.scene, answer.plan, 30.0, Changes())
     assert "d0" not in again.plan.flights
-    place = tuple(answer.plan.flights["d0"].curve(99.0) + (0.2, 0.0, 0.0))
-    near = Changes(added=(Task("near", place),), lost=())
-    grown = again.scene.replace(
-        drones=tuple(replace(record, capacity=3 * (record.id == "d1")) for record in again.scene.drones)
-    )
+    x, y, z = answer.plan.flights["d0"].curve(99.0)
+    near = Changes(added=(Task("near", (x + 0.2, y, z)),))
+    drones = tuple(replace(record, capacity=3 if record.id == "d1" else 0) for record in again.scene.drones)
+    grown = again.scene.replace(drones=drones)
     parked = replace(again.plan, scene_sha256=grown.sha256)
     assert "near" in replan(grown, parked, 0.0, near).unserved
     assert served(replan(grown, parked, 0.0, near, airborne=("d0",))) == {"near"}
