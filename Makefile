@@ -59,10 +59,15 @@ bench: $(READY)  ## run every benchmark on a few small scenes
 	$(RUN) -m benchmarks.public_instances --data benchmarks/data/mdovrp-val-50.npz --instances 2 --out out/bench/public
 	$(RUN) -m benchmarks.trajectories --scenes 2 --seed 0 --size 3x6 --out out/bench/trajectories
 	$(RUN) -m benchmarks.replanning --events 4 --drones 4 --tasks 8 --families forest city --out out/bench/replanning
+	$(RUN) -m benchmarks.teacher_ablation --scenes 2 --seed 0 --drones 4 --tasks 8 --families forest city --out out/bench/teacher
+	$(RUN) -m benchmarks.student_ablation --scenes 1 --seed 0 --out out/bench/student
+	$(RUN) -m benchmarks.scalability --scenes 1 --seed 0 --tasks 8 12 --out out/bench/scalability
+	$(RUN) -m benchmarks.pipeline --scenes 2 --seed 0 --drones 4 --tasks 8 --out out/bench/pipeline
 
 pictures: demo  ## draw the pictures of the README and docs anew
 	$(RUN) -m flockopt show $(DEMO) out/rotterdam.plan.json -o docs/images/rotterdam.png
 	$(RUN) docs/draw_families.py docs/images/families.png
+	$(RUN) docs/draw_comparison.py docs/images/comparison.png
 
 format: $(READY)  ## mend what the formatter and the linter can mend
 	$(RUN) -m ruff check --fix .

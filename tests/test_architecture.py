@@ -28,7 +28,7 @@ MODULES = {name: path for package in PACKAGES for name, path in sources(package)
 
 
 #: The packages with a map of their own in docs/architecture.md, and the module that it begins with.
-MAPPED = {"flockopt": "errors", "sim": "vectors"}
+MAPPED = {"flockopt": "errors", "sim": "vectors", "learned": "weight_files"}
 
 
 def layers(package="flockopt"):
