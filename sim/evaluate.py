@@ -33,7 +33,7 @@ from sim.trial import TRACKING_MARGIN_M, Result, Trial
 from sim.vehicles import VEHICLES
 from sim.world import load_pybullet
 
-__all__ = ["add_flight_options", "flight_settings", "main"]
+__all__ = ["add_event_options", "add_flight_options", "event_settings", "flight_settings", "main"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -65,21 +65,33 @@ def _parser() -> argparse.ArgumentParser:
         "--tracking-margin", type=float, default=TRACKING_MARGIN_M, metavar="M",
         help=f"room that plans keep for tracking errors, metres (default {TRACKING_MARGIN_M:g})",
     )  # fmt: skip
-    happening = EventSettings()
-    parser.add_argument("--events", type=int, default=0, metavar="N", help="disturbances that strike each flight (default 0)")
-    parser.add_argument(
-        "--event-kinds", nargs="+", default=list(KINDS), metavar="KIND", help=f"some of {', '.join(KINDS)} (default all)"
-    )
-    parser.add_argument(
-        "--gust", type=float, default=happening.gust_mps, metavar="MPS",
-        help=f"speed of the air in a gust (default {happening.gust_mps:g})",
-    )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1, help="flights side by side (default 1)")
     parser.add_argument("--backend", default="loky", help=f"where they run: {', '.join(BACKENDS)} (default loky: processes)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     parser.add_argument("--no-movie", action="store_true", help="make no GIF of a flight")
     add_flight_options(parser)
+    add_event_options(parser)
     return parser
+
+
+def add_event_options(parser: argparse.ArgumentParser) -> None:
+    """Options that say what happens in flight."""
+    default = EventSettings()
+    parser.add_argument("--events", type=int, default=0, metavar="N", help="disturbances that strike each flight (default 0)")
+    parser.add_argument(
+        "--event-kinds", nargs="+", default=list(KINDS), metavar="KIND", help=f"some of {', '.join(KINDS)} (default all)"
+    )
+    parser.add_argument(
+        "--gust", type=float, default=default.gust_mps, metavar="MPS",
+        help=f"speed of the air in a gust (default {default.gust_mps:g})",
+    )  # fmt: skip
+
+
+def event_settings(options: argparse.Namespace) -> EventSettings | None:
+    """What the options of `add_event_options` ask for; None for nothing."""
+    number = reading.integer(SettingsError, "events", options.events, least=0)
+    settings = EventSettings(max(number, 1), tuple(options.event_kinds), gust_mps=options.gust)
+    return settings if number else None
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
@@ -143,17 +155,11 @@ def _trials(options: argparse.Namespace) -> list[Trial]:
     margin_m = reading.number(SettingsError, "tracking-margin", options.tracking_margin, least=0.0)
     first = Trial(
         options.family, options.drones, options.tasks, seed, options.planner, options.time_limit, flight_settings(options),
-        options.force, margin_m, options.paths, _event_settings(options),
+        options.force, margin_m, options.paths, event_settings(options),
     )  # fmt: skip
     first.scene()  # a family or a size that cannot be is refused before anything runs
     load_pybullet()
     return [replace(first, seed=seed + offset) for offset in range(scenes)]
-
-
-def _event_settings(options: argparse.Namespace) -> EventSettings | None:
-    number = reading.integer(SettingsError, "events", options.events, least=0)
-    settings = EventSettings(max(number, 1), tuple(options.event_kinds), gust_mps=options.gust)
-    return settings if number else None
 
 
 def _film(trials: list[Trial], results: list[Result], path: Path) -> None:

@@ -1,8 +1,9 @@
 """Fly one plan and say what came of it.
 
-    python -m sim.fly SCENE PLAN [--gui] [--movie FILE.gif]
+    python -m sim.fly SCENE PLAN [--events N] [--gui] [--movie FILE.gif]
 
-Exit status 0 if every task was served and nothing touched, 1 if not, 2 on bad input.
+Exit status 0 if every task was served and nothing touched, 1 if not, 2 on bad input; after events a task that is listed
+with the reason why it was not served counts as accounted for.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flockopt import FlockError, Plan, Scene
-from sim.evaluate import add_flight_options, flight_settings
-from sim.execute import Execution, execute
+from sim.evaluate import add_event_options, add_flight_options, event_settings, flight_settings
+from sim.events import Event, schedule
+from sim.execution import Execution
+from sim.mission import Mission, MissionOutcome
 from sim.movie import save_movie
+from sim.trial import TRACKING_MARGIN_M
 
 __all__ = ["main"]
 
@@ -25,14 +29,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     try:
         scene, plan = Scene.load(options.scene), Plan.load(options.plan)
-        flight = execute(scene, plan, flight_settings(options), force=options.force, gui=options.gui)
+        happening = event_settings(options)
+        events = () if happening is None else schedule(scene, plan, options.seed, happening)
+        with Mission(
+            scene, plan, flight_settings(options), seed=options.seed, tracking_margin_m=TRACKING_MARGIN_M, force=options.force,
+            gui=options.gui,
+        ) as mission:  # fmt: skip
+            outcome = mission.fly(events)
+        flight = outcome.flight
         if options.movie is not None:
             save_movie(flight, options.movie)
     except FlockError as fault:
         print(f"sim.fly: {fault}", file=sys.stderr)
         return 2
-    print(_account(flight))
-    return 0 if flight.outcome.completion == 1.0 and not flight.touches else 1
+    print("\n".join([*_account(flight), *(_events(events, outcome) if events else [])]))
+    is_complete = not outcome.unexplained if events else flight.outcome.completion == 1.0
+    return 0 if is_complete and not flight.touches else 1
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -41,11 +53,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("plan", type=Path, help="plan file for that scene")
     parser.add_argument("--gui", action="store_true", help="watch it in PyBullet's window, in real time")
     parser.add_argument("--movie", type=Path, metavar="FILE.gif", help="write it as an animated picture")
+    parser.add_argument("--seed", type=int, default=0, help="of what happens and of replanning (default 0)")
     add_flight_options(parser)
+    add_event_options(parser)
     return parser
 
 
-def _account(flight: Execution) -> str:
+def _account(flight: Execution) -> list[str]:
     outcome = flight.outcome
     lines = [
         f"completion      {outcome.completion:.1%} ({len(outcome.served)} of {flight.scene.num_tasks} tasks)",
@@ -58,7 +72,15 @@ def _account(flight: Execution) -> str:
     ]
     lines += [f"missed          {task} by {metres:.3f} m" for task, metres in outcome.missed.items()]
     lines += [f"contact         {touch.drone} with {touch.other} at {touch.time:.2f} s" for touch in flight.touches]
-    return "\n".join(lines)
+    return lines
+
+
+def _events(events: Sequence[Event], outcome: MissionOutcome) -> list[str]:
+    """What happened, and what came of it."""
+    certified = sum(answer.plan.status == "certified" for answer in outcome.answers)
+    lines = [f"event           {event}" for event in events]
+    lines.append(f"answers         {certified} of {len(outcome.answers)} certified, {len(outcome.swapped)} swapped in")
+    return lines + [f"not served      {task}: {reason}" for task, reason in outcome.unserved.items()]
 
 
 def _metres(value: float | None) -> str:

@@ -197,6 +197,19 @@ class Mission:
         unexplained = tuple(task for task in self.open if task not in unserved)
         return MissionOutcome(flight, tuple(self.answers), tuple(self.swapped), unserved, unexplained)
 
+    def fly(self, events: Sequence[Event]) -> MissionOutcome:
+        """Fly to the end, answer what happens on the way, and fly again for tasks that are then still open.
+
+        Args:
+            events: What happens, in order of time; with none, the plan is flown and that is all.
+        """
+        for event in events:
+            self.advance(event.time_s)
+            self.strike(event)
+        if events:
+            self.serve_rest()
+        return self.finish()
+
     def serve_rest(self) -> None:
         """Fly to the plan's end, and set off again for tasks that are still open as long as that serves any of them."""
         for _ in range(MOST_RETURNS):

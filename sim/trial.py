@@ -110,12 +110,7 @@ class Trial:
             scene, made, self.settings, travel=travel, seed=self.seed, tracking_margin_m=self.tracking_margin_m,
             force=self.force,
         ) as mission:  # fmt: skip
-            for event in events:
-                mission.advance(event.time_s)
-                mission.strike(event)
-            if events:
-                mission.serve_rest()
-            return mission.finish()
+            return mission.fly(events)
 
     def terms(self) -> dict[str, object]:
         """Everything that it shares with the other flights of a batch."""

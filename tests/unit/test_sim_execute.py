@@ -176,6 +176,10 @@ def test_fly_command(small, tmp_path, capsys):
     assert fly.main([*arguments, "--movie", str(tmp_path / "flight.gif")]) == 0
     assert "completion      100.0% (3 of 3 tasks)" in capsys.readouterr().out
     assert (tmp_path / "flight.gif").read_bytes().startswith(b"GIF89a")
+    assert fly.main([*arguments, "--events", "3", "--seed", "1"]) == 0
+    told = capsys.readouterr().out
+    assert told.count("event           ") == 3
+    assert "swapped in" in told
     scene.replace(name="other").save(tmp_path / "scene.json")
     assert fly.main(arguments) == 2
     assert "scene.sha256" in capsys.readouterr().err
