@@ -56,9 +56,12 @@ class Ledger:
         """From ``begin_s`` on another plan is flown; what began to be served before is still to be judged."""
         self.due = [due for due in self.due if due.begin_s <= begin_s]
         for drone, flight in plan.flights.items():
-            for visit in flight.visits if drone not in self.lost else ():
+            for visit in flight.visits:
                 begin = begin_s + visit.time
-                self.due.append(Due(begin, begin + self.tasks[visit.task].service_time, drone, visit.task))
+                if drone not in self.lost:
+                    self.due.append(Due(begin, begin + self.tasks[visit.task].service_time, drone, visit.task))
+                else:  # a plan that was pending when its drone was lost, and no certified one came after it
+                    self.reasons.setdefault(visit.task, f"drone {drone} was to serve it, and is lost")
 
     def after(self, changes: Changes, now_s: float) -> Ledger:
         """The account after something has happened; this one stays as it is."""

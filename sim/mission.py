@@ -277,8 +277,9 @@ class Mission:
         ledger = self._ledger.after(changes, self.now_s)
         freeze_s = 0.0 if self._recording.step == 0 and self._stands_still() else self._freeze_s
         asked = ledger.changes(self.scene, self.now_s + freeze_s)
+        clock_s = max(self.now_s - self.begun_s, 0.0)  # a plan may be swapped in a hair before its moment
         answer = replan(
-            self.scene, self.plan, self.now_s - self.begun_s, asked, seed=self._seed, freeze_s=freeze_s,
+            self.scene, self.plan, clock_s, asked, seed=self._seed, freeze_s=freeze_s,
             tracking_margin_m=self._margin_m, airborne=self._airborne(),
         )  # fmt: skip
         self._ledger = ledger

@@ -186,6 +186,23 @@ def test_a_pending_plan_outlives_a_change_that_is_refused(flying, monkeypatch):
     assert "new" in outcome.flight.outcome.served
 
 
+def test_a_pending_plan_is_flown_without_a_drone_lost_meanwhile(flying, monkeypatch):
+    scene, made = flying
+    real = mission_module.replan
+    with Mission(scene, made) as mission:
+        mission.advance(0.5)
+        first = mission.replan(Changes(added=(Task("new", (6.0, 2.0, 1.0)),)))
+        server = next(name for name, route in first.plan.routes.items() if "new" in route)
+        refused = replace(first.plan, status="uncertified")
+        monkeypatch.setattr(mission_module, "replan", lambda *a, **k: replace(real(*a, **k), plan=refused))
+        mission.strike(DroneLost(0.5, server))
+        outcome = mission.finish()
+    assert outcome.swapped == (first,)
+    assert "new" in outcome.unserved
+    assert set(outcome.unserved) | set(outcome.flight.outcome.served) == {task.id for task in scene.tasks} | {"new"}
+    assert outcome.unexplained == ()
+
+
 def test_what_no_capacity_is_left_for_is_listed():
     scene = make_scene([drone(0, (1, 1, 1), 1), drone(1, (1, 9, 1), 1)], [(9, 1, 1), (9, 9, 1)])
     with Mission(scene, plan(scene, bound="fast")) as mission:
