@@ -1,5 +1,8 @@
 """The learned allocators: MAGNNET, MAGNNET with bundling, and the teacher, from scenes to bundles.
 
+MAGNNET gives each drone one task. With bundling the same policy is asked again after every step, from where the routes end
+by then, until the drones are full or tasks are gone.
+
     allocator = load_allocator("teacher")
     allocation = allocator.bundles([scene], [compute_travel(scene)])[0]
     allocation.routes  # which tasks each drone visits, in order
@@ -10,20 +13,18 @@ or tasks: scenes larger than those of the training work, if less well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from flockopt import reading
 from flockopt.errors import SettingsError
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from learned.problems import Problems
-from learned.teacher.environment import FleetState, choices, reset
-from learned.teacher.episodes import Actor, Moment, play
+from learned.teacher.episodes import Actor, play
 from learned.teacher.networks import load_actor
 
 __all__ = ["ALLOCATORS", "WEIGHTS", "Allocation", "Allocator", "load_allocator"]
@@ -87,8 +88,9 @@ class Allocator:
     def _decided(self, problems: Problems) -> list[Allocation]:
         routes: list[list[list[int]]] = [[[] for _ in range(problems.num_drones)] for _ in range(len(problems))]
         steps, log_probs = torch.zeros(len(problems)), torch.zeros(len(problems))
+        how = ALLOCATORS[self.method]
         with torch.inference_mode():
-            for moment in ALLOCATORS[self.method].episodes(self.actor, problems):
+            for moment in play(self.actor, problems, slots=how.slots, renews=how.renews):
                 steps[moment.rows] += 1
                 log_probs[moment.rows] += moment.log_probs.sum(dim=1)
                 for row, drone in (moment.outcome.taken >= 0).nonzero().tolist():
@@ -116,44 +118,23 @@ def load_allocator(method: str, weights: str | Path | None = None) -> Allocator:
     return Allocator(method, load_actor(trained_as, weights or WEIGHTS / f"{trained_as}.safetensors"))
 
 
-def _one_episode(actor: Actor, problems: Problems) -> Iterator[Moment]:
-    """Each drone takes as many tasks as it can carry."""
-    for moment, _ in play(actor, problems):
-        yield moment
-
-
-def _one_task(actor: Actor, problems: Problems) -> Iterator[Moment]:
-    """Each drone takes one task."""
-    for moment, _ in play(actor, problems, slots=1):
-        yield moment
-
-
-def _one_task_again(actor: Actor, problems: Problems) -> Iterator[Moment]:
-    """Each drone takes one task; all are asked again from where their routes end, until they are full or tasks are gone."""
-    state = reset(problems, slots=1)
-    while not bool(choices(problems, state).is_over.all()):
-        for moment, part in play(actor, problems, state=state):
-            _merge(state, moment.rows, part)
-            yield moment
-        state = replace(state, slots=torch.ones_like(state.slots), is_stalled=torch.zeros_like(state.is_stalled))
-
-
-def _merge(state: FleetState, rows: Tensor, part: FleetState) -> None:
-    """Write the state of some episodes into that of all."""
-    for field in fields(FleetState):
-        getattr(state, field.name)[rows] = getattr(part, field.name)
-
-
 @dataclass(frozen=True)
 class _Method:
-    """How an allocator decides, and whose weights it has."""
+    """How an allocator decides: whose weights it has, and how it plays.
+
+    Attributes:
+        trained_as: The method that was trained.
+        slots: How many tasks a drone may take, or None for as many as it can carry.
+        renews: Whether it may take as many again after every step.
+    """
 
     trained_as: str
-    episodes: Callable[[Actor, Problems], Iterator[Moment]]
+    slots: int | None = None
+    renews: bool = False
 
 
 ALLOCATORS: dict[str, _Method] = {
-    "magnnet": _Method("magnnet", _one_task),
-    "magnnet-bundling": _Method("magnnet", _one_task_again),
-    "teacher": _Method("teacher", _one_episode),
+    "magnnet": _Method("magnnet", slots=1),
+    "magnnet-bundling": _Method("magnnet", slots=1, renews=True),
+    "teacher": _Method("teacher"),
 }

@@ -7,7 +7,7 @@ computed for them; each `Moment` says which episodes it holds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from learned.problems import Problems
 from learned.teacher.descriptors import Observation, observe
-from learned.teacher.environment import Choices, FleetState, Outcome, choices, num_to_serve, reset, step
+from learned.teacher.environment import Choices, Outcome, choices, num_to_serve, reset, step
 from learned.teacher.ppo import masked_log_softmax
 
 __all__ = ["Actor", "Moment", "decide", "play"]
@@ -68,9 +68,9 @@ def play(
     *,
     generator: torch.Generator | None = None,
     slots: int | None = None,
+    renews: bool = False,
     step_cost: float = 0.0,
-    state: FleetState | None = None,
-) -> Iterator[tuple[Moment, FleetState]]:
+) -> Iterator[Moment]:
     """Play a batch of episodes to their ends, step by step; to be used under ``torch.no_grad()``.
 
     Args:
@@ -78,13 +78,14 @@ def play(
         problems: The fleets.
         generator: Of random decisions; None takes the likeliest action.
         slots: See `environment.reset`.
+        renews: Whether the slots are given anew after every step, so that drones are asked again until they are full.
         step_cost: See `environment.step`.
-        state: Where to begin, if not at the beginning.
 
     Yields:
-        Each step, and the state of its R episodes after it.
+        Each step.
     """
-    state = reset(problems, slots) if state is None else state
+    state = reset(problems, slots)
+    fresh = state.slots
     rows = torch.arange(len(problems))
     memory = torch.zeros(*problems.capacity.shape, actor.memory_width)
     last_task = torch.full(problems.capacity.shape, -1)
@@ -92,7 +93,8 @@ def play(
         options = choices(problems, state)
         if bool(options.is_over.any()):
             runs = ~options.is_over
-            rows, problems, state, memory, last_task = rows[runs], problems[runs], state[runs], memory[runs], last_task[runs]
+            rows, problems, state, memory = rows[runs], problems[runs], state[runs], memory[runs]
+            last_task, fresh = last_task[runs], fresh[runs]
             options = Choices(options.cost[runs], options.allowed[runs])
         if not len(rows):
             return
@@ -102,7 +104,9 @@ def play(
         actions = decide(log_probs, generator)
         chosen = log_probs.gather(2, actions[..., None])[..., 0]
         state, outcome = step(problems, state, options, _task_named(observed, actions, problems.num_tasks), step_cost=step_cost)
-        yield Moment(rows, observed, actions, chosen, memory, outcome, num_to_serve(problems)), state
+        if renews:
+            state = replace(state, slots=fresh)
+        yield Moment(rows, observed, actions, chosen, memory, outcome, num_to_serve(problems))
         last_task = outcome.taken
 
 

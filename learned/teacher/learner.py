@@ -85,8 +85,7 @@ class Learner:
     def _collect(self, problems: Problems) -> tuple[_Batch, tuple[float, float, float]]:
         with torch.no_grad():
             slots, step_cost = self.settings.slots, self.settings.step_cost
-            episodes = play(self.actor, problems, generator=self.generator, slots=slots, step_cost=step_cost)
-            moments = [moment for moment, _ in episodes]
+            moments = list(play(self.actor, problems, generator=self.generator, slots=slots, step_cost=step_cost))
             shape = len(moments), len(problems)
             rewards, values = torch.zeros(shape), torch.zeros(shape)
             active = torch.zeros(shape, dtype=torch.bool)

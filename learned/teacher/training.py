@@ -117,7 +117,7 @@ class Training:
             seen = [
                 moment.observed
                 for _ in range(8)
-                for moment, _ in play(self.actor, self._draw(32), generator=self.generator, slots=self.settings.slots)
+                for moment in play(self.actor, self._draw(32), generator=self.generator, slots=self.settings.slots)
             ]
         self.actor.normaliser.measure(seen)
         self.critic.normaliser.measure(seen)

@@ -54,7 +54,7 @@ class ValidationSet:
         """How much more an actor's likeliest decisions cost than the reference, in the mean, and their mean steps."""
         cost, steps = torch.zeros(len(self.problems)), torch.zeros(len(self.problems))
         with torch.no_grad():
-            for moment, _ in play(actor, self.problems, slots=self.slots):
+            for moment in play(actor, self.problems, slots=self.slots):
                 cost[moment.rows] += moment.outcome.cost.sum(dim=1) * self.problems.scale[moment.rows]
                 steps[moment.rows] += 1
         return float(cost.sum() / self.reference.sum()) - 1.0, float(steps.mean())

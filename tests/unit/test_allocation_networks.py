@@ -77,7 +77,7 @@ def test_masked_actions_have_probability_exactly_zero_and_are_never_taken(method
     problems = random_problems(50, 4, 7, torch.Generator().manual_seed(0))
     actor, generator = new_actor(method), torch.Generator().manual_seed(1)
     with torch.no_grad():
-        for moment, _ in play(actor, problems, generator=generator):
+        for moment in play(actor, problems, generator=generator):
             scores, _ = scores_of(actor, moment.observed)
             probs = masked_log_softmax(scores, moment.observed.allowed).exp()
             assert bool((probs[~moment.observed.allowed] == 0.0).all())
@@ -113,8 +113,8 @@ def test_a_permutation_permutes_whole_episodes(method):
     actor = new_actor(method)
     drones, tasks = torch.randperm(5), torch.randperm(9)
     with torch.no_grad():
-        plain = [m.outcome.taken for m, _ in play(actor, problems) if len(m.rows) == 20]
-        other = [m.outcome.taken for m, _ in play(actor, relabelled(problems, drones, tasks)) if len(m.rows) == 20]
+        plain = [m.outcome.taken for m in play(actor, problems) if len(m.rows) == 20]
+        other = [m.outcome.taken for m in play(actor, relabelled(problems, drones, tasks)) if len(m.rows) == 20]
     assert len(plain) == len(other) >= 1
     for ours, theirs in zip(plain, other, strict=True):
         renamed = torch.where(theirs >= 0, tasks[theirs.clamp(min=0)], -1)
@@ -168,5 +168,5 @@ def test_the_memory_knows_what_was_taken():
 def test_any_size_can_be_played(method, drones, tasks):
     problems = random_problems(2, drones, tasks, torch.Generator().manual_seed(6))
     with torch.no_grad():
-        taken = sum(int((m.outcome.taken >= 0).sum()) for m, _ in play(new_actor(method), problems))
+        taken = sum(int((m.outcome.taken >= 0).sum()) for m in play(new_actor(method), problems))
     assert taken == 2 * tasks
