@@ -12,18 +12,14 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from flockopt import FlockError, MissingExtra, SettingsError, reading
+from flockopt.progress_bar import ProgressBar
 from learned.teacher.settings import METHODS, TrainingSettings
 
 __all__ = ["main"]
-
-#: Seconds between lines of progress where stderr is no terminal.
-PATIENCE_S = 30.0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -77,14 +73,15 @@ def _train(options: argparse.Namespace) -> None:
     build_pool(options.pool, jobs=options.jobs)
     training = Training(settings, ScenePool.load(options.pool), options.out, ValidationSet.make(settings.slots))
     with SummaryWriter(str(options.out / "tensorboard"), purge_step=training.iteration + 1) as writer:
-        line = _ProgressLine(settings.iterations, training.iteration)
+        bar = ProgressBar(settings.iterations, training.iteration)
 
         def report(row: dict[str, float]) -> None:
             for name, value in row.items():
                 writer.add_scalar(name, value, int(row["iteration"]))
-            line.show(row)
+            bar.advance(_words(row))
 
         training.run(report)
+        bar.close()
     if options.install:
         _install(final_weights(options.out, settings.method))
 
@@ -103,28 +100,10 @@ def _install(path: Path) -> None:
     reading.write_whole(SettingsError, WEIGHTS / path.name, path.read_bytes())
 
 
-class _ProgressLine:
-    """A line on stderr: redrawn on a terminal, elsewhere a new one now and then."""
-
-    def __init__(self, total: int, done: int) -> None:
-        self._total, self._before, self._begun = total, done, time.monotonic()
-        self._live = sys.stderr.isatty()
-        self._told = -PATIENCE_S
-        self._excess = ""
-
-    def show(self, row: dict[str, Any]) -> None:
-        """Tell the figures of an iteration."""
-        done = int(row["iteration"])
-        elapsed = time.monotonic() - self._begun
-        if "excess" in row:
-            self._excess = f", {row['excess']:.2%} above the reference in {row['greedy_steps']:.2f} steps"
-        left = elapsed / max(done - self._before, 1) * (self._total - done)
-        words = f"{done}/{self._total} {left:.0f} s left, return {row['episode_return']:.3f}{self._excess}"
-        if self._live:
-            print(f"\r\x1b[K{words}", end="\n" if done == self._total else "", file=sys.stderr, flush=True)
-        elif elapsed - self._told >= PATIENCE_S or done == self._total:
-            print(words, file=sys.stderr, flush=True)
-            self._told = elapsed
+def _words(row: dict[str, float]) -> str:
+    """The figures of an iteration in a line."""
+    measured = f", {row['excess']:.2%} above the reference in {row['greedy_steps']:.2f} steps" if "excess" in row else ""
+    return f"return {row['episode_return']:.3f}{measured}"
 
 
 if __name__ == "__main__":

@@ -152,8 +152,17 @@ class Training:
         self._resume_optimiser(_part(tensors, names.optimiser))
         self.generator.set_state(tensors[names.generator])
         self.iteration = reading.integer(SettingsError, "iteration", described.get("iteration"), least=0)
-        lines = (self.folder / HISTORY).read_text(encoding="utf-8").splitlines()
-        self.history = [json.loads(line) for line in lines][: self.iteration]
+        self.history = self._read_history()
+
+    def _read_history(self) -> list[dict[str, float]]:
+        """The figures of the iterations up to the checkpoint's."""
+        path = self.folder / HISTORY
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as fault:
+            rule = "a run goes on with its history"
+            raise SettingsError("out", f"{path} cannot be read ({fault})", rule, "choose another folder") from None
+        return [reading.parse_json(SettingsError, line, str(path)) for line in lines[: self.iteration]]
 
     def _resume_optimiser(self, tensors: dict[str, Tensor]) -> None:
         state: dict[int, dict[str, Tensor]] = {}

@@ -81,6 +81,13 @@ def test_a_damaged_checkpoint_is_named(pool, validation, tmp_path):
         Training(tiny(iterations=10), pool, tmp_path, validation)
 
 
+def test_a_lost_history_is_named(pool, validation, tmp_path):
+    trained(tiny(iterations=10), pool, tmp_path, validation)
+    (tmp_path / "history.jsonl").unlink()
+    with pytest.raises(SettingsError, match=r"history\.jsonl cannot be read"):
+        Training(tiny(iterations=10), pool, tmp_path, validation)
+
+
 def test_a_few_iterations_teach_something(pool, validation, tmp_path):
     settings = tiny(iterations=6, batch_size=48, num_epochs=2, width=32)
     training = Training(settings, pool, tmp_path, validation)
