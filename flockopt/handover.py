@@ -11,9 +11,9 @@ from flockopt.curve import Flight
 from flockopt.errors import SettingsError
 from flockopt.geometry import distances
 from flockopt.planfile import Plan
-from flockopt.scene import Drone, Point, Scene, Task
+from flockopt.scene import POSITION_TOLERANCE_M, Drone, Point, Scene, Task
 
-__all__ = ["Changes", "Situation", "hand_over"]
+__all__ = ["Changes", "Situation", "hand_over", "too_near"]
 
 #: Slower than this and accelerating less, a drone stands still: what rounding leaves of a rest.
 REST_SPEED_MPS, REST_ACCELERATION_MPS2 = 1e-9, 1e-7
@@ -83,7 +83,7 @@ def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: 
     closed = (begun - broken_off - set(changes.missed)) | set(changes.removed)
     fleet = [drone for drone in scene.drones if drone.id not in changes.lost]
     open_tasks = (*(task for task in scene.tasks if task.id not in closed), *changes.added)
-    unreachable = _unreachable(scene, fleet, open_tasks)
+    unreachable = too_near(scene, fleet, open_tasks) if len(fleet) < scene.num_drones else {}
     tasks = tuple(task for task in open_tasks if task.id not in unreachable)
     drones = tuple(_drone_then(scene, plan, drone, swap_s, changes) for drone in fleet)
     left = scene.replace(drones=drones, tasks=tasks)
@@ -102,14 +102,15 @@ def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: 
     return Situation(left, routes, flights, ready_s, astray, unreachable)
 
 
-def _unreachable(scene: Scene, fleet: Sequence[Drone], tasks: Sequence[Task]) -> dict[str, str]:
-    """Reasons by id of the tasks that are too near an obstacle for the smallest drone that is left."""
-    need = min(drone.radius for drone in fleet) + scene.clearance
-    if not tasks or not scene.obstacles or need <= scene.radii.min() + scene.clearance:
+def too_near(scene: Scene, fleet: Sequence[Drone], tasks: Sequence[Task]) -> dict[str, str]:
+    """Reasons by id of the tasks that are too near an obstacle of the scene for the smallest drone of a fleet."""
+    if not tasks or not scene.obstacles:
         return {}
+    need = min(drone.radius for drone in fleet) + scene.clearance
     gaps = distances(scene.obstacle_table, np.array([task.position for task in tasks])).min(axis=1)
     words = "is {:.4g} m from an obstacle; the smallest drone left needs {:g} m; add a smaller one"
-    return {task.id: words.format(gap, need) for task, gap in zip(tasks, gaps, strict=True) if gap < need}
+    near = gaps < need - POSITION_TOLERANCE_M
+    return {task.id: words.format(gap, need) for task, gap, is_near in zip(tasks, gaps, near, strict=True) if is_near}
 
 
 def _drone_then(scene: Scene, plan: Plan, drone: Drone, swap_s: float, changes: Changes) -> Drone:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self, TypeAlias
 
@@ -18,7 +18,7 @@ import numpy as np
 from flockopt.curve import Flight
 from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray
-from flockopt.handover import Changes
+from flockopt.handover import Changes, too_near
 from flockopt.judging import check_names
 from flockopt.planfile import Plan
 from flockopt.replan import FREEZE_S, Replanned, replan
@@ -277,11 +277,14 @@ class Mission:
         ledger = self._ledger.after(changes, self.now_s)
         freeze_s = 0.0 if self._recording.step == 0 and self._stands_still() else self._freeze_s
         asked = ledger.changes(self.scene, self.now_s + freeze_s)
+        hopeless = too_near(self.scene, self.scene.drones, asked.added)
+        asked = replace(asked, added=tuple(task for task in asked.added if task.id not in hopeless))
         clock_s = max(self.now_s - self.begun_s, 0.0)  # a plan may be swapped in a hair before its moment
         answer = replan(
             self.scene, self.plan, clock_s, asked, seed=self._seed, freeze_s=freeze_s,
             tracking_margin_m=self._margin_m, airborne=self._airborne(),
         )  # fmt: skip
+        ledger.reasons |= hopeless
         self._ledger = ledger
         self._lose(changes.lost)
         self.answers.append(answer)
@@ -289,7 +292,7 @@ class Mission:
             self.pending = answer
             self._swap_if_due()
         else:
-            self._ledger.refuse(answer.unserved, "no certified plan that serves it was found from flight")
+            self._ledger.refuse(hopeless | answer.unserved, "no certified plan that serves it was found from flight")
         return answer
 
     def strike(self, event: Event) -> Replanned | None:
@@ -317,7 +320,7 @@ class Mission:
         self.wind.append(wind)
 
     def _check(self, changes: Changes) -> None:
-        self.scene.replace(tasks=(*self.scene.tasks, *changes.added))
+        self._first.replace(tasks=changes.added)  # for the fleet that took off, not for what is left of it
         known = {"removed": set(self._ledger.tasks), "lost": set(self._swarm.ids), "late": set(self._swarm.ids)}
         for field, names in known.items():
             for name in getattr(changes, field):

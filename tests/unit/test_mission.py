@@ -216,6 +216,22 @@ def test_what_no_capacity_is_left_for_is_listed():
     assert flawless(outcome)
 
 
+def test_what_only_lost_drones_were_small_enough_for_stays_listed():
+    scene = make_scene([drone(0, (1, 1, 1)), drone(1, (1, 9, 1), radius=0.3)], [(5, 5.9, 1), (9, 9, 1)], (PILLAR,))
+    with Mission(scene, plan(scene, bound="fast")) as mission:
+        mission.advance(0.3)
+        mission.strike(DroneLost(0.3, "d0"))
+        mission.advance(1.0)
+        answer = mission.strike(TaskAdded(1.0, Task("new", (4.1, 5.0, 1.0))))
+        assert answer.plan.status == "certified"
+        mission.serve_rest()
+        outcome = mission.finish()
+    assert outcome.flight.outcome.served == ("t1",)
+    assert set(outcome.unserved) == {"t0", "new"}
+    assert all("the smallest drone left needs 0.4 m" in reason for reason in outcome.unserved.values())
+    assert flawless(outcome)
+
+
 def test_tasks_missed_in_a_gust_are_served_later(flying):
     scene, made = flying
     visit = made.flights[longest(made)].visits[0]
@@ -265,7 +281,7 @@ def test_missions_repeat_to_the_last_bit(flying):
         (Changes(late={"x": 1.0}), SettingsError, "late names 'x'"),
         (Changes(late={"d0": 1.0, "d1": 1.0, "d2": 1.0}), SettingsError, "only a drone that stands still can be late"),
         (Changes(lost=("d0", "d1", "d2")), SettingsError, "leaves no drone"),
-        (Changes(added=(Task("t0", (5.0, 1.0, 1.0)),)), SceneError, "t0"),
+        (Changes(added=(Task("t0", (5.0, 1.0, 1.0)),)), SettingsError, "added names 't0' again"),
         (Changes(added=(Task("new", (5.0, 5.0, 1.0)),)), SceneError, "obstacle 'pillar'"),
     ],
 )
