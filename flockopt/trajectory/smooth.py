@@ -15,31 +15,25 @@ from time import perf_counter
 import numpy as np
 
 from flockopt import reading
-from flockopt.continuous import farthest_from
 from flockopt.curve import Flight
 from flockopt.errors import SettingsError
+from flockopt.geometry import FloatArray
 from flockopt.scene import Drone, Scene
+from flockopt.trajectory.flight_stages import (
+    JERK_WEIGHT,
+    TIME_WEIGHT,
+    check_smoothing,
+    flight_cost,
+    improved,
+    shares_of,
+    tasks_of,
+)
+from flockopt.trajectory.replacement import Weights
 from flockopt.trajectory.smooth_program import load_casadi
-from flockopt.trajectory.smooth_stage import Weights, smooth_stage
-from flockopt.trajectory.stages import join, split, squared_jerk
+from flockopt.trajectory.smooth_stage import smooth_stage
+from flockopt.trajectory.stages import Stage, split
 
 __all__ = ["Smoothed", "smooth", "smooth_each"]
-
-#: Mostly time: a tenth off the duration is worth three tenths off the squared jerk's integral.
-TIME_WEIGHT, JERK_WEIGHT = 0.75, 0.25
-
-#: What `Smoothed.status` may say.
-SMOOTHED = "smoothed"
-MOTIONLESS = "unchanged: it does not move"
-TOO_HIGH = "unchanged: its polynomials are of a degree above 7"
-NOTHING_BETTER = "unchanged: nothing cheaper was found that keeps to every constraint"
-MISSED = "unchanged: what was found would miss a task or its rest, or be too long for its drone"
-
-#: Coefficients of the highest polynomials that plans hold.
-MOST_TERMS = 8
-
-#: A smoothed flight is at its tasks within this, metres.
-ANCHOR_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -70,9 +64,10 @@ def smooth(
     time_weight: float = TIME_WEIGHT,
     jerk_weight: float = JERK_WEIGHT,
     jobs: int = 1,
+    starts: Mapping[str, Flight] | None = None,
 ) -> dict[str, Flight]:
     """Smoother flights: `smooth_each` without its reports, with the same arguments and errors."""
-    reports = smooth_each(scene, flights, time_weight=time_weight, jerk_weight=jerk_weight, jobs=jobs)
+    reports = smooth_each(scene, flights, time_weight=time_weight, jerk_weight=jerk_weight, jobs=jobs, starts=starts)
     return {drone: report.flight for drone, report in reports.items()}
 
 
@@ -83,6 +78,7 @@ def smooth_each(
     time_weight: float = TIME_WEIGHT,
     jerk_weight: float = JERK_WEIGHT,
     jobs: int = 1,
+    starts: Mapping[str, Flight] | None = None,
 ) -> dict[str, Smoothed]:
     """Smooth flights and say what came of each.
 
@@ -92,6 +88,8 @@ def smooth_each(
         time_weight: Of a flight's duration, as a share of what it was.
         jerk_weight: Of the integral of the squared jerk, as a share of what it was.
         jobs: Processes; more than one pays for fleets that take seconds.
+        starts: Flights for the solver to begin with in place of the given ones, by drone id; those of the same visits and
+            pieces are made use of. One that is feasible and cheaper is what comes back unless a cheaper one is found.
 
     Returns:
         A report for every flight. Where and when each begins, the places it serves and its rests stay the same, and so
@@ -102,86 +100,43 @@ def smooth_each(
         MissingExtra: If CasADi is not installed.
         SolverFailed: If the solver crashes.
     """
-    _check_settings(scene, flights, time_weight, jerk_weight, jobs)
-    load_casadi()
-    drones = {drone.id: drone for drone in scene.drones}
     weights = Weights(time_weight, jerk_weight)
+    check_smoothing(scene, flights, weights)
+    reading.integer(SettingsError, "jobs", jobs, least=1)
+    load_casadi()
+    drones, starts = {drone.id: drone for drone in scene.drones}, starts or {}
+    work = [(scene, drones[name], flight, weights, starts.get(name)) for name, flight in flights.items()]
     if jobs == 1:
-        reports = [_smooth_one(scene, drones[name], flight, weights) for name, flight in flights.items()]
+        reports = [_smooth_one(*part) for part in work]
     else:
         from joblib import Parallel, delayed
 
-        work = (delayed(_smooth_one)(scene, drones[name], flight, weights) for name, flight in flights.items())
-        reports = Parallel(n_jobs=jobs)(work)
+        reports = Parallel(n_jobs=jobs)(delayed(_smooth_one)(*part) for part in work)
     return dict(zip(flights, reports, strict=True))
 
 
-def _check_settings(scene: Scene, flights: Mapping[str, Flight], time_weight: float, jerk_weight: float, jobs: int) -> None:
-    for name, weight in (("time_weight", time_weight), ("jerk_weight", jerk_weight)):
-        reading.number(SettingsError, name, weight, least=0.0)
-    if time_weight + jerk_weight == 0.0:
-        raise SettingsError("time_weight", "is 0 and so is jerk_weight", "one of them must be > 0", "weigh time or jerk")
-    reading.integer(SettingsError, "jobs", jobs, least=1)
-    known = {drone.id for drone in scene.drones}
-    for name in flights:
-        if name not in known:
-            raise SettingsError(f"flights[{name!r}]", "is of a drone the scene does not have", "must name a drone", "rename it")
-
-
-def _smooth_one(scene: Scene, drone: Drone, flight: Flight, weights: Weights) -> Smoothed:
+def _smooth_one(scene: Scene, drone: Drone, flight: Flight, weights: Weights, start: Flight | None) -> Smoothed:
     began, before = perf_counter(), weights.time + weights.jerk  # the solver sees weights that add up to 1
-    tasks, shares = _tasks(scene, flight), _shares(flight, weights)
-    smoother, iterations, status = _by_stages(scene, drone, flight, tasks, shares)
-    if smoother is not None and not _as_feasible(scene, drone, flight, smoother, tasks):
-        smoother, status = None, MISSED
-    if smoother is None:
-        return Smoothed(flight, before, before, iterations, perf_counter() - began, status)
-    curve = smoother.curve
-    after = before * (shares.time * curve.duration + shares.jerk * squared_jerk(curve.breakpoints, curve.coefficients))
-    return Smoothed(smoother, before, after, iterations, perf_counter() - began, status)
+    shares = shares_of(flight, weights)
+    solver = _Solver(scene, drone, flight, shares, start)
+    found, status = improved(scene, drone, flight, solver)
+    after = before * flight_cost(found, shares) if found is not flight else before
+    return Smoothed(found, before, after, solver.iterations, perf_counter() - began, status)
 
 
-def _by_stages(scene: Scene, drone: Drone, flight: Flight, tasks: list[int], shares: Weights) -> tuple[Flight | None, int, str]:
-    """The flight with all stages replaced for which something better is found, or None; iterations; status."""
-    if flight.curve.coefficients.shape[2] > MOST_TERMS:
-        return None, 0, TOO_HIGH
-    places = {index: np.array(scene.tasks[task].position) for index, task in enumerate(tasks)}
-    iterations, status, stages = 0, MOTIONLESS, []
-    for stage in split(flight):
-        better = None
-        if not stage.rests:
-            better, spent = smooth_stage(scene, drone, stage, places, shares)
-            iterations += spent
-            status = SMOOTHED if better is not None else NOTHING_BETTER if status == MOTIONLESS else status
-        stages.append(stage if better is None else better)
-    return (join(flight, stages) if status == SMOOTHED else None), iterations, status
+class _Solver:
+    """Smooths the stages of a flight, and counts iterations."""
 
+    def __init__(self, scene: Scene, drone: Drone, flight: Flight, shares: Weights, start: Flight | None) -> None:
+        self.scene, self.drone, self.shares, self.iterations = scene, drone, shares, 0
+        self._places: dict[int, FloatArray] = {
+            index: np.array(scene.tasks[task].position) for index, task in enumerate(tasks_of(scene, flight))
+        }
+        self._starts: list[Stage] = [] if start is None else split(start)
 
-def _shares(flight: Flight, weights: Weights) -> Weights:
-    """Weights of seconds and of the squared jerk's integral in which the given flight costs 1."""
-    jerk, total = squared_jerk(flight.curve.breakpoints, flight.curve.coefficients), weights.time + weights.jerk
-    return Weights(weights.time / total / flight.curve.duration, weights.jerk / total / jerk if jerk > 0.0 else 0.0)
-
-
-def _tasks(scene: Scene, flight: Flight) -> list[int]:
-    """The tasks of a flight's visits, by index."""
-    index = {task.id: number for number, task in enumerate(scene.tasks)}
-    for visit in flight.visits:
-        if visit.task not in index:
-            raise SettingsError(
-                "visits", f"name {visit.task!r}", "must name tasks of the scene", "smooth flights of this scene"
-            )
-    return [index[visit.task] for visit in flight.visits]
-
-
-def _as_feasible(scene: Scene, drone: Drone, given: Flight, smoother: Flight, tasks: list[int]) -> bool:
-    """Whether a flight whose stages hold is at its tasks long enough, and no longer than its drone can fly."""
-    curve = smoother.curve
-    for visit, index in zip(smoother.visits, tasks, strict=True):
-        task = scene.tasks[index]
-        away, _ = farthest_from(
-            curve.breakpoints, curve.coefficients, np.array(task.position), visit.time, visit.time + task.service_time
-        )
-        if away > ANCHOR_M:
-            return False
-    return drone.max_distance is None or curve.length <= max(drone.max_distance, given.curve.length)
+    def __call__(self, place: int, stage: Stage) -> Stage | None:
+        """What may take the place of a stage, or None."""
+        start = self._starts[place] if place < len(self._starts) else None
+        found, spent = smooth_stage(self.scene, self.drone, stage, self._places, self.shares, start)
+        self.iterations += spent
+        return found

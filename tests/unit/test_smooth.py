@@ -23,7 +23,8 @@ from flockopt import (
 from flockopt.bernstein import control_points, piece_states
 from flockopt.continuous import curve_clear, farthest_from
 from flockopt.trajectory import smooth_stage as stage_module
-from flockopt.trajectory.smooth import MOTIONLESS, NOTHING_BETTER, SMOOTHED, TOO_HIGH, smooth_each
+from flockopt.trajectory.flight_stages import MOTIONLESS, NOTHING_BETTER, SMOOTHED, TOO_HIGH
+from flockopt.trajectory.smooth import smooth_each
 from flockopt.trajectory.stages import squared_jerk
 from tests.flights import check_flights, drone, in_order, make_scene
 
@@ -218,7 +219,7 @@ def test_degrees_above_seven_are_left_alone(simple):
 
 def test_an_answer_that_breaks_a_limit_is_refused(simple, monkeypatch):
     scene, given = simple
-    monkeypatch.setattr(stage_module, "_within_limits", lambda _, stage: stage)
+    monkeypatch.setattr(stage_module, "within_limits", lambda _, stage: stage)
     monkeypatch.setattr(stage_module, "LIMIT_SHARES", np.full(3, 1.2))
     assert {each.status for each in smooth_each(scene, given).values()} == {NOTHING_BETTER}
 
