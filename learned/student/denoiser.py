@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
@@ -32,6 +33,11 @@ class Conditions:
     scene: Tensor | None
     scene_mask: Tensor | None
     active: Tensor
+
+    def rows(self, chosen: Tensor) -> Conditions:
+        """Those of some scenes: ``chosen`` (B,) is a mask or indices."""
+        tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return Conditions(**{name: None if value is None else value[chosen] for name, value in tensors.items()})
 
 
 class Denoiser(nn.Module):

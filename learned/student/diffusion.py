@@ -13,7 +13,7 @@ from torch import Tensor
 from flockopt import reading
 from flockopt.errors import SettingsError
 
-__all__ = ["add_noise", "ddim", "noise_levels", "signal_levels"]
+__all__ = ["add_noise", "ddim", "ddim_step", "noise_levels", "signal_levels"]
 
 #: The cosine schedule's offset, and the most noise of one step (Nichol and Dhariwal 2021).
 OFFSET, MOST_BETA = 0.008, 0.999
@@ -60,6 +60,11 @@ def ddim(denoise: Callable[[Tensor, Tensor], Tensor], noise: Tensor, steps: int,
     noisy = noise
     for level, following in pairwise(levels):
         clean = denoise(noisy, torch.full((noise.shape[0],), level, device=noise.device))
-        rest = (noisy - math.sqrt(signal[level]) * clean) / math.sqrt(1.0 - signal[level])
-        noisy = math.sqrt(signal[following]) * clean + math.sqrt(1.0 - signal[following]) * rest
+        noisy = ddim_step(noisy, clean, signal[level], signal[following])
     return noisy
+
+
+def ddim_step(noisy: Tensor, clean: Tensor, signal: float, following: float) -> Tensor:
+    """From samples with signal coefficient ``signal``, and what was predicted of them, to those with ``following``."""
+    rest = (noisy - math.sqrt(signal) * clean) / math.sqrt(1.0 - signal)
+    return math.sqrt(following) * clean + math.sqrt(1.0 - following) * rest

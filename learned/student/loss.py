@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from flockopt import reading
 from flockopt.errors import SettingsError
 from learned.student.batch import NOTHING, FleetBatch, Ways
-from learned.student.diffusion import add_noise
+from learned.student.denoiser import Conditions
+from learned.student.diffusion import add_noise, ddim_step, noise_levels, signal_levels
 from learned.student.model import Student
 from learned.student.obstacle_distance import signed_distance
 
@@ -18,6 +19,13 @@ __all__ = ["LossWeights", "StudentLoss", "allocation_loss", "clearance_loss", "d
 
 #: The room that the penalty asks for beyond what is required, as a share of radius + clearance.
 MARGIN = 0.3
+
+#: Steps of DDIM that are trained for: this share of the noise levels are those that so many steps pass.
+TRAINED_STEPS, TRAINED_STEPS_SHARE = 2, 0.5
+
+#: In fine-tuning, the weight of the squared error where the student goes on from what it drew itself: which way it took
+#: is its own choice then, and need not be the demonstrated one.
+OWN_WEIGHT = 0.1
 
 
 def allocation_loss(log_probs: Tensor, assignment: Tensor, teaches: Tensor) -> Tensor:
@@ -92,14 +100,43 @@ class StudentLoss(nn.Module):
         rows = None if student.settings.fleet_attention else blocked.nonzero(as_tuple=True)
         ways, conditions = student.condition(batch, rows, tokens)
         clean = student.clean_samples(ways)
-        device, levels = clean.device, student.settings.num_noise_levels
-        noise = torch.randn(clean.shape, generator=generator).to(device)
-        level = torch.randint(1, levels + 1, (len(clean),), generator=generator).to(device)
-        denoised = student.denoiser(add_noise(clean, noise, level, levels), level, conditions).float()
+        noisy, level = self._noised(clean, generator)
         weights_of_drones = detour_weights(clean, ways.active) if student.settings.frame == "leg" else ways.active.float()
+        if weights.clearance > 0.0 and rows is not None:
+            noisy, own = self._own(noisy, level, conditions, generator)
+            weights_of_drones = weights_of_drones * torch.where(own, OWN_WEIGHT, 1.0)[:, None]
+        denoised = student.denoiser(noisy, level, conditions).float()
         terms["diffusion"] = diffusion_loss(denoised, clean, weights_of_drones)
         if weights.clearance > 0.0:
             terms["clearance"] = clearance_loss(ways, student.points(ways, denoised))
         return sum(getattr(weights, name) * term for name, term in terms.items()), {
             name: term.detach() for name, term in terms.items()
         }
+
+    def _noised(self, clean: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Clean samples (B, N, T, 3) with noise, and its levels (B,): any, or one that `TRAINED_STEPS` of DDIM pass."""
+        num_levels, count = self.student.settings.num_noise_levels, len(clean)
+        noise = torch.randn(clean.shape, generator=generator).to(clean.device)
+        if self.student.settings.objective == "regression":
+            return torch.zeros_like(clean), torch.full((count,), num_levels, device=clean.device)
+        passed = torch.tensor(noise_levels(TRAINED_STEPS, num_levels)[:-1])
+        level = torch.randint(1, num_levels + 1, (count,), generator=generator)
+        chosen = passed[torch.randint(len(passed), (count,), generator=generator)]
+        is_passed = torch.rand(count, generator=generator) < TRAINED_STEPS_SHARE
+        level = torch.where(is_passed, chosen, level).to(clean.device)
+        return add_noise(clean, noise, level, num_levels), level
+
+    @torch.no_grad()
+    def _own(self, noisy: Tensor, level: Tensor, conditions: Conditions, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Noisy samples, at the last level that DDIM passes those the student draws itself; and which (B,) these are."""
+        settings = self.student.settings
+        first, last = noise_levels(TRAINED_STEPS, settings.num_noise_levels)[-3:-1]
+        own = (level == last) & (settings.objective == "diffusion")
+        noise = torch.randn(noisy.shape, generator=generator).to(noisy.device)[own]
+        if not len(noise):
+            return noisy, own
+        signal = signal_levels(settings.num_noise_levels).tolist()
+        clean = self.student.denoiser(noise, torch.full_like(level[own], first), conditions.rows(own)).float()
+        noisy = noisy.clone()
+        noisy[own] = ddim_step(noise, clean, signal[first], signal[last])
+        return noisy, own

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from flockopt import reading
 from flockopt.errors import SettingsError
 
-__all__ = ["CONFIGS", "FRAMES", "HEADS", "StudentSettings"]
+__all__ = ["CONFIGS", "FRAMES", "HEADS", "OBJECTIVES", "StudentSettings"]
 
 #: Where trajectories are measured: in the scene, or in each leg's own frame as residuals from the straight leg.
 FRAMES = ("scene", "leg")
 
 #: Allocation heads: the paper's scaled products, or attention that knows distances.
 HEADS = ("product", "attention")
+
+#: What the denoiser learns: to remove noise of any level, or to answer at once, without noise (plain regression).
+OBJECTIVES = ("diffusion", "regression")
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class StudentSettings:
         num_drone_slots: Rows of the learned drone embedding, which ties outputs to the drones' order; 0 derives it from
             the drone's scene token, so that drones may be relabelled at will and be as many as one likes.
         nearest_obstacles: How many obstacles each sample of the straight way is told of; 0 in the paper.
+        objective: One of `OBJECTIVES`.
 
     Raises:
         SettingsError: Naming the field, the value and the rule.
@@ -56,6 +60,7 @@ class StudentSettings:
     fleet_attention: bool = True
     num_drone_slots: int = 20
     nearest_obstacles: int = 0
+    objective: str = "diffusion"
 
     def __post_init__(self) -> None:
         for field in ("hidden", "rounds", "width", "blocks", "heads", "num_samples", "patch", "num_noise_levels"):
@@ -65,9 +70,10 @@ class StudentSettings:
         for field, whole, part in (("num_samples", self.num_samples, self.patch), ("width", self.width, 2 * self.heads)):
             if whole % part:
                 raise SettingsError(field, f"is {whole}", f"must be a multiple of {part}", "choose another")
-        for field, value, choices in (("frame", self.frame, FRAMES), ("head", self.head, HEADS)):
-            if value not in choices:
-                raise SettingsError(field, f"is {value!r}", f"must be one of {', '.join(choices)}", "choose one")
+        for field, choices in (("frame", FRAMES), ("head", HEADS), ("objective", OBJECTIVES)):
+            if getattr(self, field) not in choices:
+                value = f"is {getattr(self, field)!r}"
+                raise SettingsError(field, value, f"must be one of {', '.join(choices)}", "choose one")
 
     @property
     def num_patches(self) -> int:
@@ -84,11 +90,15 @@ class StudentSettings:
         return dataclasses.asdict(self)
 
 
-#: The configurations by name.
+SMALL = StudentSettings(
+    width=128, blocks=4, heads=4, frame="leg", head="attention", fleet_attention=False, num_drone_slots=0, nearest_obstacles=4,
+)  # fmt: skip
+
+#: The configurations by name: the paper's, the default, and the default with one part changed, to see what it is worth.
 CONFIGS: dict[str, StudentSettings] = {
     "paper": StudentSettings(),
-    "small": StudentSettings(
-        width=128, blocks=4, heads=4, frame="leg", head="attention", fleet_attention=False, num_drone_slots=0,
-        nearest_obstacles=4,
-    ),
-}  # fmt: skip
+    "small": SMALL,
+    "small-regression": replace(SMALL, objective="regression"),
+    "small-scene-frame": replace(SMALL, frame="scene"),
+    "small-fleet-attention": replace(SMALL, fleet_attention=True),
+}
