@@ -20,9 +20,7 @@ from flockopt.bundles import Bundles
 from flockopt.geometry import BOX, CYLINDER, FloatArray
 from flockopt.scene import Bounds, Box, Cylinder, Drone, Obstacle, Scene, Sphere, Task
 
-__all__ = ["LAYOUT", "OFFSETS", "Arrays", "Demonstration", "Demonstrations"]
-
-Arrays = dict[str, NDArray[Any]]
+__all__ = ["LAYOUT", "OFFSETS", "Demonstration", "Demonstrations"]
 
 #: Name, kind of number and shape of every array: S scenes; N drones, M tasks and K obstacles of all of them; V vertices of
 #: all their paths; T samples.

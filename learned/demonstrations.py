@@ -11,33 +11,30 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from flockopt import FlockError, SettingsError, reading, refine_bundles
-from flockopt.backends import BACKENDS, open_backend, outcomes
+from flockopt.backends import BACKENDS
 from flockopt.bundles import Bundles
 from flockopt.families import FAMILIES
 from flockopt.progress_bar import ProgressBar
-from flockopt.run_folder import RunFolder
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from learned.demonstration_scenes import SceneMix, draw_scene, random_bundles
 from learned.planner import allocator, bundles_of, refined
 from learned.rollout import NUM_SAMPLES, roll_out
-from learned.shards import load_demonstrations, pack, read_shard, shard_path, write_shard
+from learned.shard_runs import ShardRun
+from learned.shards import load_demonstrations, pack, read_shard, write_shard
 from learned.ways import ANY_ANGLE, PATHS, Ways, find_ways
 
 __all__ = ["TEACHERS", "DemonstrationSettings", "load_demonstrations", "main", "make_shard", "write_demonstrations"]
 
 #: Scenes in a shard: what is lost when a run is killed.
 SHARD_SCENES = 100
-
-#: How often a batch begins again after a worker has died.
-MOST_DEATHS = 3
 
 #: Bundles for scenes, given their travel and seeds.
 Teacher: TypeAlias = Callable[[Sequence[Scene], Sequence[Travel], Sequence[int]], list[Bundles]]
@@ -146,50 +143,13 @@ def write_demonstrations(
     Raises:
         SettingsError: If the folder holds other demonstrations, is in use, or holds damaged ones.
     """
-    with RunFolder(folder, settings.terms(), "demonstrations"):
-        shards = list(_shards(num_scenes, settings.seed))
-        missing = [shard for shard in shards if _size(shard_path(folder, shard[0])) < len(shard[1])]
-        begun(len(shards), len(shards) - len(missing))
-        for deaths in range(MOST_DEATHS + 1):
-            if _round(folder, missing, settings, jobs, backend, done):
-                return
-            warn(f"a worker died ({deaths + 1} of {MOST_DEATHS}); going on with the shards that are missing")
-            missing = [shard for shard in missing if _size(shard_path(folder, shard[0])) < len(shard[1])]
-    raise SettingsError("jobs", f"is {jobs}", "workers must live", "take fewer, or look for why they die (memory?)")
-
-
-def _round(
-    folder: Path,
-    shards: Sequence[tuple[int, range]],
-    settings: DemonstrationSettings,
-    jobs: int,
-    backend: str,
-    done: Callable[[str], object],
-) -> bool:
-    """Make shards until all are there, or until a worker dies: whether all are there."""
-    with open_backend(backend, jobs) as place:
-        try:
-            for number, arrays in outcomes(place, partial(_work, settings), shards, 2 * jobs):
-                write_shard(shard_path(folder, number), arrays)
-                done(shard_path(folder, number).name)
-        except place.deaths:
-            return False
-    return True
-
-
-def _work(settings: DemonstrationSettings, shard: tuple[int, range]) -> tuple[int, dict[str, Any]]:
-    return shard[0], make_shard(settings, shard[1])
-
-
-def _shards(num_scenes: int, seed: int) -> Iterator[tuple[int, range]]:
-    """Number and seeds of every shard."""
-    for number, begin in enumerate(range(0, num_scenes, SHARD_SCENES)):
-        yield number, range(seed + begin, seed + min(begin + SHARD_SCENES, num_scenes))
+    run = ShardRun(folder, settings.terms(), "demonstrations", partial(make_shard, settings), write_shard, _size, SHARD_SCENES)
+    run.go(num_scenes, settings.seed, jobs, backend, begun, done, warn)
 
 
 def _size(path: Path) -> int:
-    """How many scenes a shard holds; 0 if it is not there."""
-    return len(read_shard(path)["seed"]) if path.exists() else 0
+    """How many scenes a shard holds."""
+    return len(read_shard(path)["seed"])
 
 
 def main(argv: Sequence[str] | None = None) -> int:

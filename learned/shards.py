@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import io
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from flockopt import reading
 from flockopt.bundles import Bundles
 from flockopt.errors import SettingsError
 from flockopt.scene import Scene
-from learned.demonstration_set import LAYOUT, OFFSETS, Arrays, Demonstration, Demonstrations
+from learned.array_files import Arrays, layout_faults, read_arrays, shard_path, write_arrays
+from learned.demonstration_set import LAYOUT, OFFSETS, Demonstration, Demonstrations
 from learned.rollout import Rollout
 
 __all__ = ["Demonstration", "Demonstrations", "load_demonstrations", "pack", "shard_path", "write_shard"]
 
 FORMAT = "flockopt.demonstrations/1"
-
-#: What numpy and zipfile raise on damaged files, encryption and unknown compression included.
-UNREADABLE = (OSError, ValueError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError)
 
 #: An array to tell the length of each axis by.
 LEADERS = {"S": "seed", "N": "starts", "M": "tasks", "K": "obstacles", "V": "teacher_stops"}
@@ -65,16 +58,9 @@ def _record(seed: int, family: str, hard: bool, scene: Scene, bundles: Bundles, 
     }  # fmt: skip
 
 
-def shard_path(folder: Path, number: int) -> Path:
-    """Where a shard is."""
-    return folder / f"shard-{number:05d}.npz"
-
-
 def write_shard(path: Path, arrays: Arrays) -> None:
     """Write a shard, whole or not at all; equal arrays give equal bytes."""
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, format=np.array(FORMAT), **arrays)
-    reading.write_whole(SettingsError, path, content.getvalue())
+    write_arrays(path, arrays, FORMAT)
 
 
 def load_demonstrations(folder: str | Path) -> Demonstrations:
@@ -108,15 +94,7 @@ def read_shard(path: Path) -> Arrays:
         SettingsError: Naming the file, and the array where it is one.
     """
     rule, mend = f"must be a shard of format {FORMAT}", "delete it and run learned.demonstrations again"
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except UNREADABLE as fault:
-        raise SettingsError("data", f"{path} cannot be read ({fault})", rule, mend) from None
-    found = arrays.pop("format", None)
-    if found is None or str(found) != FORMAT or set(arrays) != set(LAYOUT):
-        seen = f"{path} holds {reading.shown(sorted(arrays))} of format {reading.shown(None if found is None else str(found))}"
-        raise SettingsError("data", seen, rule, mend)
+    arrays = read_arrays(path, LAYOUT, FORMAT, mend)
     for name, complaint in _faults(arrays):
         raise SettingsError(f"data: {path}: {name}", complaint, rule, mend)
     return arrays
@@ -127,19 +105,10 @@ def _faults(arrays: Arrays) -> Iterator[tuple[str, str]]:
     sizes: dict[int | str, int] = {axis: len(arrays[name]) for axis, name in LEADERS.items()}
     samples = arrays["teacher_samples"]
     sizes |= {"S+1": sizes["S"] + 1, "N+1": sizes["N"] + 1, "T": samples.shape[1] if samples.ndim == 3 else -1}
-    for name, (kind, axes) in LAYOUT.items():
-        array, shape = arrays[name], tuple(sizes.get(axis, axis) for axis in axes)
-        if not np.issubdtype(array.dtype, kind) or array.shape != shape:
-            yield name, f"is {array.dtype} {array.shape}, not {kind.__name__} {shape}"
-            return
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            yield name, f"is not finite at {tuple(map(int, np.argwhere(~np.isfinite(array))[0]))}"
-    for name, axis in OFFSETS.items():
-        at = arrays[name]
-        if at[0] != 0 or at[-1] != sizes[axis] or (np.diff(at) < 0).any():
-            yield name, f"does not rise from 0 to {sizes[axis]}"
-            return
-    yield from _wrong_visits(arrays)
+    faults = list(layout_faults(arrays, LAYOUT, sizes, OFFSETS))
+    yield from faults
+    if not faults:
+        yield from _wrong_visits(arrays)
 
 
 def _wrong_visits(arrays: Arrays) -> Iterator[tuple[str, str]]:

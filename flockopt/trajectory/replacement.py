@@ -14,7 +14,7 @@ from flockopt.geometry import FloatArray
 from flockopt.scene import Drone, Scene
 from flockopt.trajectory.stages import TERMS, Stage
 
-__all__ = ["Anchors", "Weights", "is_acceptable", "is_clear", "limits_of", "within_limits"]
+__all__ = ["JOINT_PHASE", "Anchors", "Weights", "is_acceptable", "is_clear", "limits_of", "within_limits"]
 
 #: The cost must fall by this share for a stage to be replaced.
 LEAST_GAIN = 1e-6

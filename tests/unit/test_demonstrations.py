@@ -13,9 +13,11 @@ from flockopt.families import FAMILIES
 from flockopt.geometry import distances
 from flockopt.trajectory.waypoints import leg_clear
 from learned import demonstrations
+from learned.array_files import shard_path
 from learned.demonstration_scenes import SceneMix, blocked_routes, draw_scene, random_bundles
 from learned.demonstrations import DemonstrationSettings, main, make_shard
-from learned.shards import Demonstrations, load_demonstrations, read_shard, shard_path, write_shard
+from learned.shard_runs import ShardRun
+from learned.shards import Demonstrations, load_demonstrations, read_shard, write_shard
 
 SMALL = ["--scenes", "5", "--family", "forest"]
 
@@ -137,13 +139,13 @@ def test_more_scenes_are_added_to_those_there_are(tmp_path, small_shards):
 
 def test_a_dead_worker_is_replaced(tmp_path, small_shards, monkeypatch):
     rounds = []
-    make = demonstrations._round
+    make = ShardRun._round
 
-    def once_deadly(folder, missing, *rest):
+    def once_deadly(run, missing, *rest):
         rounds.append([number for number, _ in missing])
-        return make(folder, missing[:1], *rest) and len(rounds) > 1 and len(missing) == 1
+        return make(run, missing[:1], *rest) and len(rounds) > 1 and len(missing) == 1
 
-    monkeypatch.setattr(demonstrations, "_round", once_deadly)
+    monkeypatch.setattr(ShardRun, "_round", once_deadly)
     warnings = []
     demonstrations.write_demonstrations(tmp_path, 5, DemonstrationSettings(SceneMix("forest")), warn=warnings.append)
     assert rounds == [[0, 1, 2], [1, 2], [2]]

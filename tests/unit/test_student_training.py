@@ -16,13 +16,12 @@ from learned.demonstrations import DemonstrationSettings, write_demonstrations  
 from learned.student import train  # noqa: E402
 from learned.student.batch import collate  # noqa: E402
 from learned.student.checkpoint import load_student  # noqa: E402
-from learned.student.dataset import scene_of  # noqa: E402
 from learned.student.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
 from learned.student.examples import example, with_ways  # noqa: E402
-from learned.student.loss import allocation_loss, clearance_loss, diffusion_loss  # noqa: E402
+from learned.student.loss import StudentLoss, allocation_loss, clearance_loss, diffusion_loss  # noqa: E402
 from learned.student.train import Trainer  # noqa: E402
 from learned.student.training_settings import TrainingSettings  # noqa: E402
-from tests.student_scenes import TINY, random_routes, taught_example  # noqa: E402
+from tests.student_scenes import TINY, random_routes, taught_example, tiny_student  # noqa: E402
 
 
 @pytest.fixture
@@ -97,7 +96,7 @@ def test_bad_numbers_of_steps_are_named(steps):
         noise_levels(steps, 1000)
 
 
-@pytest.mark.parametrize("config", tuple(TINY))
+@pytest.mark.parametrize("config", ["paper", "small", "small-regression"])
 def test_a_tiny_network_overfits_eight_scenes(config, tiny, monkeypatch):
     examples = [taught_example("forest", drones=2, tasks=4, seed=seed) for seed in range(8)]
     settings = TrainingSettings(config, steps=100, scenes_per_step=8, learning_rate=1e-2, warmup_steps=10, clearance_weight=0.0)
@@ -107,6 +106,47 @@ def test_a_tiny_network_overfits_eight_scenes(config, tiny, monkeypatch):
     first, last = ({name: np.mean([one[name] for one in part]) for name in losses[0]} for part in (losses[:10], losses[-10:]))
     assert last["allocation"] < 0.6 * first["allocation"]
     assert last["diffusion"] < 0.6 * first["diffusion"]
+
+
+def test_half_of_the_noise_levels_are_those_that_sampling_passes():
+    loss, clean = StudentLoss(tiny_student("small")), torch.ones(400, 1, 4, 3)
+    noisy, level = loss._noised(clean, torch.Generator().manual_seed(0))
+    passed = (level == 1000) | (level == 500)
+    assert 0.4 < passed.float().mean() < 0.6 and 0.3 < (level == 500)[passed].float().mean() < 0.7
+    assert level.min() >= 1 and level.max() <= 1000
+    assert noisy[level < 50].std() < 0.2 < noisy[level > 950].std()
+
+
+def test_regression_is_trained_and_asked_without_noise(tiny):
+    student = tiny_student("small-regression")
+    noisy, level = StudentLoss(student)._noised(torch.ones(5, 1, 4, 3), torch.Generator())
+    assert noisy.abs().max() == 0.0 and level.tolist() == [1000] * 5
+    batch = collate([taught_example("forest", drones=3, tasks=9, seed=1)])
+    scene, drone = batch.ways.blocked.any(dim=-1).nonzero(as_tuple=True)
+    noise = torch.randn(2, len(scene), 64, 3)
+    first, second = student.draw(batch, scene, drone, noise, steps=5)
+    assert len(scene) and torch.equal(first, second)
+
+
+def test_fine_tuning_goes_on_from_what_the_student_draws_itself():
+    student = tiny_student("small")
+    batch = collate([taught_example("forest", drones=3, tasks=9, seed=1)])
+    ways, conditions = student.condition(batch, batch.ways.blocked.any(dim=-1).nonzero(as_tuple=True))
+    count = len(ways.needs)
+    level = torch.tensor([500] + [300] * (count - 1))
+    noisy = torch.randn(count, 1, 64, 3)
+    result, own = StudentLoss(student)._own(noisy, level, conditions, torch.Generator().manual_seed(4))
+    assert own.tolist() == [True] + [False] * (count - 1) and torch.equal(result[1:], noisy[1:])
+    noise = torch.randn(noisy.shape, generator=torch.Generator().manual_seed(4))
+    seen = []
+
+    def denoise(samples, at):
+        seen.append(samples)
+        return student.denoiser(samples, at, conditions)
+
+    with torch.no_grad():
+        ddim(denoise, noise, 2, 1000)
+    assert torch.allclose(result[0], seen[1][0], atol=1e-5)
 
 
 def test_a_step_without_blocked_drones_teaches_allocation_only(tiny):
@@ -121,7 +161,7 @@ def test_demonstrations_become_valid_examples(demonstrations):
 
     for demonstration in load_demonstrations(demonstrations):
         one = train.example_of(demonstration, 64)
-        assert np.allclose(scene_of(demonstration).obstacle_table, demonstration.obstacles)
+        assert one.scene == demonstration.scene()
         assert one.teaches_allocation is not demonstration.hard
         blocked = {drone for drone in np.flatnonzero(one.active) if one.blocked[drone].any()}
         for drone in np.flatnonzero(one.active):
