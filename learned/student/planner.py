@@ -1,4 +1,4 @@
-"""The planners that the student registers: ``learned`` and ``hybrid``.
+"""The planners that the student registers: ``learned``, ``learned-paper`` and ``hybrid``.
 
 ``learned`` is the network's answer: its head's probabilities refined to bundles, its denoiser's samples as control points;
 it searches no paths, and where a leg comes out blocked the pipeline's decoder mends it. ``hybrid`` searches bundles from
@@ -29,10 +29,13 @@ if TYPE_CHECKING:
     from learned.student.inference import Drawing
     from learned.student.model import Student
 
-__all__ = ["WEIGHTS", "drawn_plan", "hybrid", "learned", "searched_plan", "shipped_student"]
+__all__ = [
+    "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "hybrid", "learned", "learned_paper", "searched_plan", "shipped_student",
+]  # fmt: skip
 
-#: The weights that come with the package.
+#: The weights that come with the package, of the default configuration and of the paper's.
 WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "student-small.safetensors"
+PAPER_WEIGHTS = WEIGHTS.with_name("student-paper.safetensors")
 
 #: Iterations of the search that refines the head's probabilities: enough to mend what capacities break.
 REFINING_ITERATIONS = 100
@@ -64,7 +67,16 @@ def shipped_student(path: Path = WEIGHTS) -> Student:
 
 def learned(request: Request) -> Proposal:
     """The network's bundles and flights."""
-    bundles, drawing, timing = drawn_plan(shipped_student(), request)
+    return _drawn_proposal(shipped_student(), request)
+
+
+def learned_paper(request: Request) -> Proposal:
+    """The same by the paper's configuration."""
+    return _drawn_proposal(shipped_student(PAPER_WEIGHTS), request)
+
+
+def _drawn_proposal(student: Student, request: Request) -> Proposal:
+    bundles, drawing, timing = drawn_plan(student, request)
     return Proposal(bundles, None if drawing is None else drawing.samples, timing)
 
 
