@@ -34,7 +34,8 @@ from flockopt.trajectory.tracking_margin import is_enough, margins, roomier
 from flockopt.travel import Travel, compute_travel
 
 __all__ = [
-    "ANY_ANGLE", "Planner", "Proposal", "Request", "draft_plan", "find_planner", "plan", "plan_cost", "planner_names",
+    "ANY_ANGLE", "Planner", "Proposal", "Request", "Smoother", "draft_plan", "find_planner", "plan", "plan_cost",
+    "planner_names",
 ]  # fmt: skip
 
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
@@ -86,6 +87,8 @@ class Proposal:
         timing: Seconds the planner spent, by stage.
         episode_steps: In how many steps the allocation was made (the paper's measure), or None where all was allocated at once.
         otherwise: Who is asked where no certified plan comes of this proposal; what that took is the stage ``fallback``.
+        smoother: Makes better flights of the decoded ones in the scene they are in, by drone id, or leaves them as they are;
+            what it took is part of the stage ``smooth``. With ``plan(..., smoothing=True)`` the solver begins with them.
     """
 
     bundles: Bundles
@@ -93,7 +96,11 @@ class Proposal:
     timing: dict[str, float] = field(default_factory=dict)
     episode_steps: int | None = None
     otherwise: Planner | None = None
+    smoother: Smoother | None = None
 
+
+#: From a scene and flights to better flights, as from `flockopt.trajectory.proposed.fly_proposals`.
+Smoother: TypeAlias = "Callable[[Scene, dict[str, Flight]], dict[str, Flight]]"
 
 Planner: TypeAlias = "Callable[[Request], Proposal]"
 
@@ -212,9 +219,9 @@ def _finish(
         with clock.stage("decode", 0.6):
             room, ways = roomier(scene, travel, bundles, clearance_m, separation_m)
             flights = decode(room, bundles, proposal.samples, travel=ways)
-        if smoothing:
+        if smoothing or proposal.smoother is not None:
             with clock.stage("smooth", 0.65):
-                flights = smooth(room, flights)
+                flights = _smoothed(room, flights, proposal.smoother, smoothing)
         with clock.stage("deconflict", 0.7):
             flights = deconflict(room, bundles, flights, travel=ways).flights
         draft = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
@@ -223,6 +230,12 @@ def _finish(
         if is_enough(certificate):
             break
     return replace(draft, status="certified" if certificate.certified else "uncertified", certificate=certificate)
+
+
+def _smoothed(scene: Scene, flights: dict[str, Flight], smoother: Smoother | None, smoothing: bool) -> dict[str, Flight]:
+    """The flights as the proposal's smoother makes them, or as the solver does that begins with those."""
+    better = flights if smoother is None else smoother(scene, flights)
+    return smooth(scene, flights, starts=better) if smoothing else better
 
 
 def _check_settings(time_limit_s: float | None, seed: int, bound: str) -> None:
