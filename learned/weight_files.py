@@ -17,11 +17,14 @@ from flockopt.errors import MissingExtra, SettingsError
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["FORMAT", "load_weights", "save_weights"]
+__all__ = ["FORMAT", "load_weights", "save_weights", "to_bytes", "to_floats"]
 
 FORMAT = "flockopt.weights/1"
 
 MEND = "train the weights again or fetch the file anew"
+
+#: What `to_bytes` calls the parts of a matrix.
+ROWS, SCALES = "/rows", "/scales"
 
 
 def save_weights(path: str | Path, tensors: Mapping[str, Tensor], kind: str, settings: Mapping[str, Any]) -> None:
@@ -93,3 +96,30 @@ def _settings(path: str | Path, kind: str, metadata: Mapping[str, str]) -> dict[
     if not isinstance(settings, dict):
         raise SettingsError("weights", f"{path} has settings {reading.shown(settings)}", "must be a JSON object", MEND)
     return settings
+
+
+def to_bytes(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Matrices as signed bytes with a scale for each row: half the size of bfloat16; other tensors as they are.
+
+    A value is off by at most 1/254 of the largest in its row.
+    """
+    import torch
+
+    result = {}
+    for name, value in tensors.items():
+        if value.dim() != 2:
+            result[name] = value
+            continue
+        scales = value.float().abs().amax(dim=1, keepdim=True).clamp(min=torch.finfo(torch.float32).tiny) / 127.0
+        result |= {name + ROWS: (value.float() / scales).round().to(torch.int8), name + SCALES: scales}
+    return result
+
+
+def to_floats(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The inverse of `to_bytes`, in single precision; tensors that were never bytes are taken as they are."""
+    whole = {name: value.float() for name, value in tensors.items() if not name.endswith((ROWS, SCALES))}
+    for name, rows in tensors.items():
+        scales = tensors.get(name.removesuffix(ROWS) + SCALES)
+        if name.endswith(ROWS) and scales is not None:
+            whole[name.removesuffix(ROWS)] = rows.float() * scales.float()
+    return whole

@@ -6,25 +6,33 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from flockopt.errors import SettingsError
 from learned.student.model import Student
 from learned.student.settings import StudentSettings
-from learned.weight_files import load_weights, save_weights
+from learned.weight_files import load_weights, save_weights, to_bytes, to_floats
 
-__all__ = ["CHECKPOINT_KIND", "KIND", "load_student", "restore", "save_checkpoint", "save_student"]
+__all__ = ["CHECKPOINT_KIND", "KIND", "STORAGES", "load_student", "restore", "save_checkpoint", "save_student"]
 
 #: The kinds of weight files.
 KIND, CHECKPOINT_KIND = "student", "student-checkpoint"
 
+#: How weights for inference are stored: the second takes half the room, for matrices that are off by 1/254 at most.
+STORAGES = ("bfloat16", "int8")
+
 MEND = "take the file of a run with these settings, or start anew in another folder"
 
 
-def save_student(path: str | Path, weights: dict[str, Tensor], settings: StudentSettings, notes: dict[str, Any]) -> None:
-    """Write weights for inference, in bfloat16; ``notes`` say how they came about."""
-    half = {name: value.to(torch.bfloat16) if name != "spread" else value for name, value in weights.items()}
-    save_weights(path, half, KIND, {"student": settings.to_dict(), "notes": notes})
+def save_student(
+    path: str | Path, weights: dict[str, Tensor], settings: StudentSettings, notes: dict[str, Any], storage: str = STORAGES[0]
+) -> None:
+    """Write weights for inference; ``notes`` say how they came about, ``storage`` is one of `STORAGES`."""
+    if storage == "int8":
+        stored = to_bytes(weights)
+    else:
+        stored = {name: value.to(torch.bfloat16) if name != "spread" else value for name, value in weights.items()}
+    save_weights(path, stored, KIND, {"student": settings.to_dict(), "notes": notes})
 
 
 def load_student(path: str | Path) -> Student:
@@ -36,11 +44,11 @@ def load_student(path: str | Path) -> Student:
     """
     tensors, header = load_weights(path, KIND)
     student = Student(StudentSettings.from_dict(header.get("student", {})))
-    _fill(student, {name: value.float() for name, value in tensors.items()}, path)
+    _fill(student, to_floats(tensors), path)
     return student.eval()
 
 
-def _fill(student: Student, tensors: dict[str, Tensor], path: str | Path) -> None:
+def _fill(student: nn.Module, tensors: dict[str, Tensor], path: str | Path) -> None:
     try:
         student.load_state_dict(tensors)
     except RuntimeError as fault:
@@ -51,7 +59,7 @@ def _fill(student: Student, tensors: dict[str, Tensor], path: str | Path) -> Non
 
 
 def save_checkpoint(
-    path: Path, student: Student, average: dict[str, Tensor], optimiser: torch.optim.Optimizer, header: dict[str, Any]
+    path: Path, student: nn.Module, average: dict[str, Tensor], optimiser: torch.optim.Optimizer, header: dict[str, Any]
 ) -> None:
     """Write everything that changes in training; ``header`` holds the settings and the step."""
     tensors = {f"model/{name}": value for name, value in student.state_dict().items()}
@@ -63,7 +71,7 @@ def save_checkpoint(
 
 
 def restore(
-    path: Path, student: Student, average: dict[str, Tensor], optimiser: torch.optim.Optimizer, settings: dict[str, Any]
+    path: Path, student: nn.Module, average: dict[str, Tensor], optimiser: torch.optim.Optimizer, settings: dict[str, Any]
 ) -> int:
     """Fill student, average and optimiser from a checkpoint of a run on the same ``settings``; its step.
 

@@ -29,7 +29,7 @@ from flockopt import FlockError, SettingsError
 from flockopt.progress_bar import ProgressBar
 from flockopt.run_folder import RunFolder
 from learned.student.batch import FleetBatch, collate
-from learned.student.checkpoint import load_student, restore, save_checkpoint, save_student
+from learned.student.checkpoint import STORAGES, load_student, restore, save_checkpoint, save_student
 from learned.student.dataset import example_of
 from learned.student.examples import Example
 from learned.student.inference import draw
@@ -186,6 +186,7 @@ def run(
     world: int,
     begin_with: Path | None,
     until: int | None,
+    storage: str = STORAGES[0],
 ) -> None:
     """Train to the end, or ``until`` a step, going on from a checkpoint if there is one.
 
@@ -226,7 +227,8 @@ def run(
                 checkpoint, trainer.student, trainer.average, trainer.optimiser, {"training": terms, "step": trainer.step}
             )
             notes = {**terms, "step": trainer.step, "held_out": measured}
-            save_student(out / "student.safetensors", trainer.averaged().state_dict(), trainer.student.settings, notes)
+            weights = trainer.averaged().state_dict()
+            save_student(out / "student.safetensors", weights, trainer.student.settings, notes, storage)
     if writer is not None and bar is not None:
         writer.close()
         bar.close()
@@ -244,9 +246,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
         if rank == 0:
             with RunFolder(options.out, settings.to_dict(), "a student's training"):
-                run(settings, options.data, options.out, rank, world, options.begin_with, options.until)
+                run(settings, options.data, options.out, rank, world, options.begin_with, options.until, options.store_as)
         else:
-            run(settings, options.data, options.out, rank, world, options.begin_with, options.until)
+            run(settings, options.data, options.out, rank, world, options.begin_with, options.until, options.store_as)
     except FlockError as fault:
         print(f"learned.student.train: {fault}", file=sys.stderr)
         return 2
@@ -265,6 +267,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--begin-with", type=Path, metavar="WEIGHTS", help="fine-tune a student's weights")
     parser.add_argument("--until", type=int, metavar="STEP", help="stop there, before the schedule's end")
     parser.add_argument("--precision", choices=PRECISIONS, help=f"(default {defaults.precision})")
+    parser.add_argument("--store-as", choices=STORAGES, default=STORAGES[0], help=f"of the weights (default {STORAGES[0]})")
     parser.add_argument("--threads", type=int, default=1, help="of torch, for each process (default 1)")
     for name in ("steps", "scenes_per_step", "warmup_steps", "seed"):
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, help=f"(default {getattr(defaults, name)})")

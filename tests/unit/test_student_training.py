@@ -15,7 +15,7 @@ from learned.demonstration_scenes import SceneMix  # noqa: E402
 from learned.demonstrations import DemonstrationSettings, write_demonstrations  # noqa: E402
 from learned.student import train  # noqa: E402
 from learned.student.batch import collate  # noqa: E402
-from learned.student.checkpoint import load_student  # noqa: E402
+from learned.student.checkpoint import STORAGES, load_student, save_student  # noqa: E402
 from learned.student.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
 from learned.student.examples import example, with_ways  # noqa: E402
 from learned.student.loss import StudentLoss, allocation_loss, clearance_loss, diffusion_loss  # noqa: E402
@@ -203,6 +203,20 @@ def test_weights_can_be_tuned_further(demonstrations, tmp_path, tiny, capsys):
     assert all(torch.allclose(value, after[name], atol=1e-2) for name, value in before.items())
     assert run(demonstrations, tmp_path / "third", "--config", "paper", *options) == 2
     assert "begin_with" in capsys.readouterr().err
+
+
+def test_weights_stored_in_bytes_take_half_the_room_and_draw_the_same(demonstrations, tmp_path, tiny):
+    assert run(demonstrations, tmp_path / "run", "--steps", "1", "--store-as", "int8") == 0
+    small = tmp_path / "run" / "student.safetensors"
+    student = tiny_student("paper")
+    paths = {storage: tmp_path / storage for storage in STORAGES}
+    for storage, path in paths.items():
+        save_student(path, student.state_dict(), student.settings, {}, storage)
+    assert paths["int8"].stat().st_size < 0.75 * paths["bfloat16"].stat().st_size  # tiny matrices have many scales
+    batch = collate([taught_example("forest")])
+    one, other = (load_student(path).allocate(batch) for path in paths.values())
+    assert torch.allclose(one, other, atol=0.05)
+    assert load_student(small).settings == TINY["small"]
 
 
 def test_a_folder_with_another_run_is_refused(demonstrations, tmp_path, tiny, capsys):

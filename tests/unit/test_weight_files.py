@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from flockopt import SettingsError
-from learned.weight_files import load_weights, save_weights
+from learned.weight_files import load_weights, save_weights, to_bytes, to_floats
 
 torch = pytest.importorskip("torch")
 SETTINGS = {"width": 64, "scale": 0.5, "name": "tiny"}
@@ -79,3 +79,14 @@ def test_settings_that_are_not_json_are_refused_before_writing(tmp_path):
     with pytest.raises(SettingsError, match="settings cannot be written"):
         save_weights(tmp_path / "x.safetensors", {}, "teacher", {"scale": float("nan")})
     assert not list(tmp_path.iterdir())
+
+
+def test_bytes_lose_little_and_only_of_matrices():
+    matrix = torch.randn(6, 40, generator=torch.Generator().manual_seed(0)) * torch.logspace(-3, 3, 6)[:, None]
+    tensors = {"matrix": matrix, "vector": torch.arange(3.0), "nothing": torch.zeros(2, 2)}
+    stored = to_bytes(tensors)
+    assert stored["matrix/rows"].dtype is torch.int8 and torch.equal(stored["vector"], tensors["vector"])
+    back = to_floats(stored)
+    assert back.keys() == tensors.keys()
+    assert ((back["matrix"] - matrix).abs() <= matrix.abs().amax(dim=1, keepdim=True) / 253).all()
+    assert torch.equal(back["nothing"], tensors["nothing"]) and torch.equal(to_floats(tensors)["matrix"], matrix)
