@@ -168,16 +168,20 @@ def _mirror(vectors: Tensor, tosses: Tensor) -> Tensor:
     return torch.cat([turned, vectors[..., 2:]], dim=-1)
 
 
-def collate(examples: Sequence[Example]) -> FleetBatch:
-    """Examples of any sizes as one padded batch. The target is there if all of them have one."""
+def collate(examples: Sequence[Example], multiple: int = 1) -> FleetBatch:
+    """Examples of any sizes as one padded batch. The target is there if all of them have one.
+
+    Numbers of drones, tasks, obstacles and tasks in a bundle are rounded up to a multiple: where many batches follow each
+    other, few shapes spare the backend making code for each.
+    """
     scenes = [one.scene for one in examples]
-    num_drones = max(scene.num_drones for scene in scenes)
-    num_tasks = max(scene.num_tasks for scene in scenes)
-    num_obstacles = max([1, *(len(scene.obstacles) for scene in scenes)])
+    num_drones = _rounded_up(max(scene.num_drones for scene in scenes), multiple)
+    num_tasks = _rounded_up(max(scene.num_tasks for scene in scenes), multiple)
+    num_obstacles = _rounded_up(max([1, *(len(scene.obstacles) for scene in scenes)]), multiple)
     drones, tasks = [scene.num_drones for scene in scenes], [scene.num_tasks for scene in scenes]
     has_end = [np.isfinite(scene.ends[:, 0]) for scene in scenes]
     ends = [np.where(there[:, None], scene.ends, scene.starts) for there, scene in zip(has_end, scenes, strict=True)]
-    bundle_size = max([1, *(len(route) for one in examples for route in one.routes)])
+    bundle_size = _rounded_up(max([1, *(len(route) for one in examples for route in one.routes)]), multiple)
     bundles = np.full((len(examples), num_drones, bundle_size), NOTHING)
     assignment = np.full((len(examples), num_tasks), NOTHING)
     for index, one in enumerate(examples):
@@ -213,6 +217,10 @@ def collate(examples: Sequence[Example]) -> FleetBatch:
         teaches_allocation=torch.tensor([one.teaches_allocation for one in examples]),
         ways=ways,
     )
+
+
+def _rounded_up(count: int, multiple: int) -> int:
+    return -(-count // multiple) * multiple
 
 
 def _tensor(array: np.ndarray) -> Tensor:

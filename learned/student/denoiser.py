@@ -34,8 +34,8 @@ class Conditions:
     scene_mask: Tensor | None
     active: Tensor
 
-    def rows(self, chosen: Tensor) -> Conditions:
-        """Those of some scenes: ``chosen`` (B,) is a mask or indices."""
+    def rows(self, chosen: slice) -> Conditions:
+        """Those of some scenes."""
         tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return Conditions(**{name: None if value is None else value[chosen] for name, value in tensors.items()})
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +14,7 @@ from learned.student.denoiser import Conditions
 from learned.student.diffusion import add_noise, ddim_step, noise_levels, signal_levels
 from learned.student.model import Student
 from learned.student.obstacle_distance import signed_distance
+from learned.student.scene_encoder import SceneTokens
 
 __all__ = ["LossWeights", "StudentLoss", "allocation_loss", "clearance_loss", "detour_weights", "diffusion_loss"]
 
@@ -26,6 +27,12 @@ TRAINED_STEPS, TRAINED_STEPS_SHARE = 2, 0.5
 #: In fine-tuning, the weight of the squared error where the student goes on from what it drew itself: which way it took
 #: is its own choice then, and need not be the demonstrated one.
 OWN_WEIGHT = 0.1
+
+#: One drone in so many goes on from its own in fine-tuning.
+OWN_PART = 4
+
+#: Numbers of drones are filled up to multiples of this, so that few shapes of tensors occur.
+ROWS_STEP = 32
 
 
 def allocation_loss(log_probs: Tensor, assignment: Tensor, teaches: Tensor) -> Tensor:
@@ -96,15 +103,14 @@ class StudentLoss(nn.Module):
         tokens = student.encoder(batch)
         log_probs = student.allocate(batch, tokens)
         terms = {"allocation": allocation_loss(log_probs, batch.assignment, batch.teaches_allocation)}
-        blocked = batch.ways.active & batch.ways.blocked.any(dim=-1)
-        rows = None if student.settings.fleet_attention else blocked.nonzero(as_tuple=True)
-        ways, conditions = student.condition(batch, rows, tokens)
+        ways, conditions = self._ways(batch, tokens)
         clean = student.clean_samples(ways)
         noisy, level = self._noised(clean, generator)
         weights_of_drones = detour_weights(clean, ways.active) if student.settings.frame == "leg" else ways.active.float()
-        if weights.clearance > 0.0 and rows is not None:
-            noisy, own = self._own(noisy, level, conditions, generator)
-            weights_of_drones = weights_of_drones * torch.where(own, OWN_WEIGHT, 1.0)[:, None]
+        if weights.clearance > 0.0 and self._draws_alone and student.settings.objective == "diffusion":
+            own = len(clean) // OWN_PART
+            noisy[:own], level[:own] = self._own(noisy[:own], conditions.rows(slice(own)), generator)
+            weights_of_drones = torch.cat([OWN_WEIGHT * weights_of_drones[:own], weights_of_drones[own:]])
         denoised = student.denoiser(noisy, level, conditions).float()
         terms["diffusion"] = diffusion_loss(denoised, clean, weights_of_drones)
         if weights.clearance > 0.0:
@@ -112,6 +118,21 @@ class StudentLoss(nn.Module):
         return sum(getattr(weights, name) * term for name, term in terms.items()), {
             name: term.detach() for name, term in terms.items()
         }
+
+    @property
+    def _draws_alone(self) -> bool:
+        return not self.student.settings.fleet_attention
+
+    def _ways(self, batch: FleetBatch, tokens: SceneTokens) -> tuple[Ways, Conditions]:
+        """What is learned from: whole fleets, or blocked drones, their number filled up by inactive ones to a round one."""
+        if not self._draws_alone:
+            return self.student.condition(batch, None, tokens)
+        places = (batch.ways.active & batch.ways.blocked.any(dim=-1)).nonzero()  # (R, 2)
+        count = len(places)
+        filled = torch.nn.functional.pad(places, (0, 0, 0, -count % ROWS_STEP))
+        ways, conditions = self.student.condition(batch, filled.unbind(dim=1), tokens)
+        is_there = torch.arange(len(filled), device=places.device)[:, None] < count
+        return replace(ways, active=ways.active & is_there), conditions
 
     def _noised(self, clean: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Clean samples (B, N, T, 3) with noise, and its levels (B,): any, or one that `TRAINED_STEPS` of DDIM pass."""
@@ -127,16 +148,12 @@ class StudentLoss(nn.Module):
         return add_noise(clean, noise, level, num_levels), level
 
     @torch.no_grad()
-    def _own(self, noisy: Tensor, level: Tensor, conditions: Conditions, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Noisy samples, at the last level that DDIM passes those the student draws itself; and which (B,) these are."""
-        settings = self.student.settings
-        first, last = noise_levels(TRAINED_STEPS, settings.num_noise_levels)[-3:-1]
-        own = (level == last) & (settings.objective == "diffusion")
-        noise = torch.randn(noisy.shape, generator=generator).to(noisy.device)[own]
-        if not len(noise):
-            return noisy, own
-        signal = signal_levels(settings.num_noise_levels).tolist()
-        clean = self.student.denoiser(noise, torch.full_like(level[own], first), conditions.rows(own)).float()
-        noisy = noisy.clone()
-        noisy[own] = ddim_step(noise, clean, signal[first], signal[last])
-        return noisy, own
+    def _own(self, noisy: Tensor, conditions: Conditions, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Samples as DDIM passes them at its last level, made of noise by the student itself; and that level (R,)."""
+        num_levels = self.student.settings.num_noise_levels
+        first, last = noise_levels(TRAINED_STEPS, num_levels)[-3:-1]
+        noise = torch.randn(noisy.shape, generator=generator).to(noisy.device)
+        level = torch.full((len(noise),), first, device=noise.device)
+        clean = self.student.denoiser(noise, level, conditions).float()
+        signal = signal_levels(num_levels).tolist()
+        return ddim_step(noise, clean, signal[first], signal[last]), torch.full_like(level, last)

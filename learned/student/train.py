@@ -18,6 +18,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,9 @@ HELD_OUT_SHARE, MOST_HELD_OUT = 0.05, 64
 
 #: Steps between measurements with a checkpoint, and between lines in the log.
 CHECKPOINT_STEPS, LOG_STEPS = 250, 25
+
+#: Counts in batches are rounded up to multiples of this.
+COUNT_STEP = 4
 
 #: The learning rate ends at this share of its highest.
 LAST_RATE = 0.02
@@ -114,11 +118,10 @@ class Trainer:
     def _batch(self) -> FleetBatch:
         """This process's part of the step's scenes: every epoch is a new order of all examples."""
         each, count = self.settings.scenes_per_step, len(self.examples)
-        chosen = []
-        for place in range(self.step * each, (self.step + 1) * each):
-            epoch, index = divmod(place, count)
-            chosen.append(int(np.random.default_rng([self.settings.seed, epoch]).permutation(count)[index]))
-        return collate([self.examples[index] for index in chosen[self.rank :: self.world]])
+        epochs, indices = np.divmod(np.arange(self.step * each, (self.step + 1) * each), count)
+        order = cache(lambda epoch: np.random.default_rng([self.settings.seed, epoch]).permutation(count))
+        chosen = [int(order(epoch)[index]) for epoch, index in zip(epochs.tolist(), indices.tolist(), strict=True)]
+        return collate([self.examples[index] for index in chosen[self.rank :: self.world]], COUNT_STEP)
 
     @torch.no_grad()
     def _average(self) -> None:

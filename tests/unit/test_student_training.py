@@ -13,12 +13,19 @@ from flockopt import SettingsError  # noqa: E402 - torch may be missing
 from flockopt.trajectory.waypoints import leg_clear  # noqa: E402
 from learned.demonstration_scenes import SceneMix  # noqa: E402
 from learned.demonstrations import DemonstrationSettings, write_demonstrations  # noqa: E402
+from learned.student import loss as loss_module  # noqa: E402
 from learned.student import train  # noqa: E402
 from learned.student.batch import collate  # noqa: E402
 from learned.student.checkpoint import STORAGES, load_student, save_student  # noqa: E402
 from learned.student.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
 from learned.student.examples import example, with_ways  # noqa: E402
-from learned.student.loss import StudentLoss, allocation_loss, clearance_loss, diffusion_loss  # noqa: E402
+from learned.student.loss import (  # noqa: E402
+    StudentLoss,
+    allocation_loss,
+    clearance_loss,
+    detour_weights,
+    diffusion_loss,
+)
 from learned.student.train import Trainer  # noqa: E402
 from learned.student.training_settings import TrainingSettings  # noqa: E402
 from tests.student_scenes import TINY, random_routes, taught_example, tiny_student  # noqa: E402
@@ -130,23 +137,34 @@ def test_regression_is_trained_and_asked_without_noise(tiny):
 
 def test_fine_tuning_goes_on_from_what_the_student_draws_itself():
     student = tiny_student("small")
-    batch = collate([taught_example("forest", drones=3, tasks=9, seed=1)])
-    ways, conditions = student.condition(batch, batch.ways.blocked.any(dim=-1).nonzero(as_tuple=True))
-    count = len(ways.needs)
-    level = torch.tensor([500] + [300] * (count - 1))
-    noisy = torch.randn(count, 1, 64, 3)
-    result, own = StudentLoss(student)._own(noisy, level, conditions, torch.Generator().manual_seed(4))
-    assert own.tolist() == [True] + [False] * (count - 1) and torch.equal(result[1:], noisy[1:])
-    noise = torch.randn(noisy.shape, generator=torch.Generator().manual_seed(4))
-    seen = []
+    loss, batch = StudentLoss(student), collate([taught_example("forest", drones=3, tasks=9, seed=1)])
+    ways, conditions = loss._ways(batch, student.encoder(batch))
+    noisy, level = loss._own(torch.zeros(len(ways.needs), 1, 64, 3), conditions, torch.Generator().manual_seed(4))
+    noise, seen = torch.randn(noisy.shape, generator=torch.Generator().manual_seed(4)), []
 
     def denoise(samples, at):
-        seen.append(samples)
+        seen.append((samples, at))
         return student.denoiser(samples, at, conditions)
 
     with torch.no_grad():
         ddim(denoise, noise, 2, 1000)
-    assert torch.allclose(result[0], seen[1][0], atol=1e-5)
+    assert torch.allclose(noisy, seen[1][0], atol=1e-5) and torch.equal(level, seen[1][1])
+
+
+def test_filling_up_the_drones_changes_nothing(monkeypatch):
+    student = tiny_student("small")
+    batch = collate([taught_example("forest", drones=3, tasks=9, seed=1)])
+    clean, conditions = {}, {}
+    for step in (1, 32):
+        monkeypatch.setattr(loss_module, "ROWS_STEP", step)
+        ways, conditions[step] = StudentLoss(student)._ways(batch, student.encoder(batch))
+        clean[step] = student.clean_samples(ways), detour_weights(student.clean_samples(ways), ways.active), ways
+    (few, weights, ways), (many, filled_weights, filled) = clean[1], clean[32]
+    assert len(few) < len(many) == 32 and filled_weights[len(few) :].abs().max() == 0.0
+    assert float(diffusion_loss(few + 1.0, few, weights)) == pytest.approx(
+        float(diffusion_loss(many + 1.0, many, filled_weights))
+    )
+    assert torch.allclose(clearance_loss(ways, ways.straight), clearance_loss(filled, filled.straight), rtol=1e-5)
 
 
 def test_a_step_without_blocked_drones_teaches_allocation_only(tiny):
