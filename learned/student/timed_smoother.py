@@ -1,0 +1,107 @@
+"""Flights smoothed by the network of timed flights: one pass for the whole fleet, then only what holds is taken.
+
+A planner hands `smooth_flights` to the pipeline as its proposal's ``smoother`` (docs/adding-a-planner.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flockopt.curve import Flight
+from flockopt.errors import MissingExtra
+from flockopt.scene import Drone, Scene
+from flockopt.trajectory.proposed import fly_proposals
+from flockopt.trajectory.stages import Stage
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from learned.student.timed_batch import UnitStage
+    from learned.student.timed_model import TimedNetwork
+
+__all__ = ["WEIGHTS", "NetworkProposer", "shipped_timed", "smooth_flights"]
+
+#: The weights that come with the package.
+WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "student-timed.safetensors"
+
+#: Extra room that proposals are asked for to keep, metres: one each, the boldest first.
+ROOMS_M = (0.0, 0.01, 0.03)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkProposer:
+    """A network as a `flockopt.trajectory.proposed.Proposer`.
+
+    Attributes:
+        network: In evaluation mode.
+        rooms_m: Extra room to ask for, metres; a proposal for each.
+        seed: Of the noise that the mode ``diffusion`` begins with.
+    """
+
+    network: TimedNetwork
+    rooms_m: tuple[float, ...] = ROOMS_M
+    seed: int = 0
+
+    def __call__(self, scene: Scene, stages: Sequence[tuple[Drone, Stage]]) -> list[list[Stage]]:
+        """Proposals for each stage; none for stages of more joints than the network takes."""
+        import torch
+
+        from learned.student.timed_batch import MOST_JOINTS, collate_stages, unit_stage
+        from learned.timed_shards import StageRecord
+
+        result: list[list[Stage]] = [[] for _ in stages]
+        asked = [index for index, (_, stage) in enumerate(stages) if len(stage.states) <= MOST_JOINTS]
+        if not asked:
+            return result
+        units = [unit_stage(StageRecord.of(scene, *stages[index])) for index in asked]
+        batch = collate_stages(units).repeated(len(self.rooms_m))
+        with torch.inference_mode():
+            extra = torch.tensor(self.rooms_m).repeat(len(units)) / batch.length_m
+            noise = torch.randn(*batch.joints.shape, 10, generator=torch.Generator().manual_seed(self.seed))
+            states, durations = self.network.propose(batch, extra, noise)
+        for row, index in enumerate(np.repeat(asked, len(self.rooms_m))):
+            drone, stage = stages[index]
+            result[index].append(_stage(drone, stage, units[row // len(self.rooms_m)], states[row], durations[row]))
+        return result
+
+
+def _stage(drone: Drone, guess: Stage, unit: UnitStage, states: Tensor, durations: Tensor) -> Stage:
+    """The network's answer in metres and seconds, between the ends of the guess; the changes are added in double precision."""
+    time = drone.max_speed / drone.flyable_acceleration
+    scale = unit.length_m * np.array([[1.0], [1.0 / time], [1.0 / time**2]])
+    moved = (states[: len(guess.states)].numpy().astype(np.float64) - unit.states) * scale
+    moved[[0, -1]] = 0.0
+    longer = durations[: len(guess.durations)].numpy().astype(np.float64) / unit.durations
+    return replace(guess, states=guess.states + moved, durations=guess.durations * longer)
+
+
+@cache
+def shipped_timed(path: Path = WEIGHTS) -> TimedNetwork:
+    """The network whose weights come with the package, loaded once.
+
+    Raises:
+        SettingsError: If the weights are missing or damaged.
+        MissingExtra: If torch or safetensors is not installed.
+    """
+    try:
+        from learned.student.timed_checkpoint import load_timed
+    except ImportError as fault:
+        raise MissingExtra(fault.name or "torch", "learned") from None
+    return load_timed(path)
+
+
+def smooth_flights(scene: Scene, flights: dict[str, Flight]) -> dict[str, Flight]:
+    """Flights that take less time and jerk, where the network finds them; the others as they are.
+
+    Raises:
+        SettingsError: If the shipped weights are missing or damaged.
+        MissingExtra: If torch or safetensors is not installed.
+    """
+    reports = fly_proposals(scene, flights, NetworkProposer(shipped_timed()))
+    return {name: each.flight for name, each in reports.items()}
