@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ from learned.student.loss import (  # noqa: E402
     detour_weights,
     diffusion_loss,
 )
+from learned.student.settings import CONFIGS  # noqa: E402
 from learned.student.train import Trainer  # noqa: E402
 from learned.student.training_settings import TrainingSettings  # noqa: E402
 from tests.student_scenes import TINY, random_routes, taught_example, tiny_student  # noqa: E402
@@ -172,6 +175,23 @@ def test_a_step_without_blocked_drones_teaches_allocation_only(tiny):
     one = with_ways(example(scene, random_routes(scene, 0)), [[]] * scene.num_drones)
     terms = Trainer(TrainingSettings(steps=1, scenes_per_step=2, clearance_from=0.0), [one]).advance()
     assert terms["diffusion"] == terms["clearance"] == 0.0 < terms["allocation"]
+
+
+def test_a_step_in_bfloat16_is_nearly_one_in_float32(tiny):
+    examples = [taught_example("forest", drones=3, tasks=9, seed=seed) for seed in range(2)]
+    one, other = (
+        Trainer(TrainingSettings(steps=1, scenes_per_step=2, precision=precision), examples).advance()
+        for precision in ("float32", "bfloat16")
+    )
+    assert one["total"] != other["total"] == pytest.approx(one["total"], rel=0.05)
+
+
+@pytest.mark.slow
+def test_two_processes_share_a_run(demonstrations, tmp_path, root):
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m"]
+    command += ["learned.student.train", "--data", str(demonstrations), "--out", str(tmp_path), "--steps", "2"]
+    subprocess.run([*command, "--scenes-per-step", "4"], check=True, cwd=root, timeout=600)
+    assert load_student(tmp_path / "student.safetensors").settings == CONFIGS["small"]
 
 
 def test_demonstrations_become_valid_examples(demonstrations):
