@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from learned.student.batch import FleetBatch
-from learned.student.scene_encoder import SceneTokens
 
 __all__ = ["AttentionHead", "ProductHead"]
 
@@ -22,10 +21,10 @@ class ProductHead(nn.Module):
         self.query = nn.Linear(width, width)
         self.key = nn.Linear(width, width)
 
-    def forward(self, batch: FleetBatch, tokens: SceneTokens) -> Tensor:
-        """(B, M, N) log-probabilities; of padded drones minus infinity."""
-        scores = self.query(tokens.tasks) @ self.key(tokens.drones).transpose(1, 2) / self.query.out_features**0.5
-        return scores.masked_fill(~batch.drone_mask[:, None], -torch.inf).log_softmax(dim=-1)
+    def forward(self, batch: FleetBatch, drones: Tensor, tasks: Tensor) -> Tensor:
+        """(B, M, N) log-probabilities from tokens (B, N, D), (B, M, D); of padded drones minus infinity."""
+        scores = self.query(tasks) @ self.key(drones).transpose(1, 2) / self.query.out_features**0.5
+        return (scores + batch.drone_mask[:, None].to(scores.dtype).log()).log_softmax(dim=-1)
 
 
 class AttentionHead(nn.Module):
@@ -37,26 +36,34 @@ class AttentionHead(nn.Module):
         self.product = ProductHead(width)
         self.nearness = nn.Parameter(torch.zeros(2))
 
-    def forward(self, batch: FleetBatch, tokens: SceneTokens) -> Tensor:
-        """(B, M, N) log-probabilities; of padded drones minus infinity."""
-        num_drones = tokens.drones.shape[1]
-        nodes = torch.cat([tokens.drones, tokens.tasks], dim=1)  # (B, N + M, D)
+    def forward(self, batch: FleetBatch, drones: Tensor, tasks: Tensor) -> Tensor:
+        """(B, M, N) log-probabilities from tokens (B, N, D), (B, M, D); of padded drones minus infinity."""
+        num_drones = drones.shape[1]
+        nodes = torch.cat([drones, tasks], dim=1)  # (B, N + M, D)
         places = batch.ways.scaled(torch.cat([batch.starts, batch.tasks], dim=1))
         mask = torch.cat([batch.drone_mask, batch.task_mask], dim=1)
-        apart = pair_features(places, batch.drone_mask)  # (B, N + M, N + M, 2)
-        for layer in self.layers:
-            nodes = layer(nodes, apart, mask)
-        refined = SceneTokens(nodes[:, :num_drones], nodes[:, num_drones:], tokens.obstacles, tokens.mask)
-        bias = apart[:, num_drones:, :num_drones] @ self.nearness  # (B, M, N)
-        return (self.product(batch, refined) - bias).log_softmax(dim=-1)
+        apart = pair_features(places, batch.drone_mask)  # (B, 2, N + M, N + M)
+        for layer, bias in zip(self.layers, self._biases(apart, mask), strict=True):
+            nodes = layer(nodes, bias)
+        distance, log_distance = apart[:, :, num_drones:, :num_drones].unbind(dim=1)  # (B, M, N)
+        bias = distance * self.nearness[0] + log_distance * self.nearness[1]
+        return (self.product(batch, nodes[:, :num_drones], nodes[:, num_drones:]) - bias).log_softmax(dim=-1)
+
+    def _biases(self, apart: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
+        """For each layer (B, heads, U, U), what the attention's scores gain by `pair_features` (B, 2, U, U)."""
+        weight = torch.cat([layer.bias.weight for layer in self.layers])  # (layers * heads, 2)
+        shift = torch.cat([layer.bias.bias for layer in self.layers])[:, None, None]
+        biases = (weight @ apart.flatten(2)).unflatten(2, apart.shape[2:])
+        hidden = -1e9 * (~mask[:, None, None]).to(biases.dtype)  # (B, 1, 1, U)
+        return (biases + (shift + hidden)).chunk(len(self.layers), dim=1)
 
 
 def pair_features(places: Tensor, drone_mask: Tensor) -> Tensor:
-    """(B, U, U, 2): distances between places (B, U, 3) by how densely the drones stand, and their logarithms."""
+    """(B, 2, U, U): distances between places (B, U, 3) by how densely the drones stand, and their logarithms."""
     squares = (places[:, :, None] - places[:, None]).square().sum(dim=-1)
     spacing = drone_mask.sum(dim=1).to(places.dtype).clamp(min=1.0).rsqrt()[:, None, None]
     distance = (squares + 1e-8).sqrt() / spacing
-    return torch.stack([distance, (distance + 0.05).log()], dim=-1)
+    return torch.stack([distance, (distance + 0.05).log()], dim=1)
 
 
 class DistanceLayer(nn.Module):
@@ -71,11 +78,10 @@ class DistanceLayer(nn.Module):
         self.out = nn.Linear(width, width)
         self.mlp = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
 
-    def forward(self, nodes: Tensor, apart: Tensor, mask: Tensor) -> Tensor:
-        """Nodes (B, U, D) after the layer; ``apart`` (B, U, U, 2), ``mask`` (B, U)."""
+    def forward(self, nodes: Tensor, bias: Tensor) -> Tensor:
+        """Nodes (B, U, D) after the layer; ``bias`` (B, heads, U, U) is added to the attention's scores."""
         batch, count, width = nodes.shape
         query, key, value = self.qkv(self.norm(nodes)).view(batch, count, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
-        bias = self.bias(apart).permute(0, 3, 1, 2).masked_fill(~mask[:, None, None], -1e9)  # (B, heads, U, U)
         mixed = nn.functional.scaled_dot_product_attention(query, key, value, attn_mask=bias)
         nodes = nodes + self.out(mixed.transpose(1, 2).reshape(batch, count, width))
         return nodes + self.mlp(nodes)

@@ -38,13 +38,24 @@ class BundleEncoder(nn.Module):
         there = batch.bundles != NOTHING  # (B, N, R)
         index = batch.bundles.clamp(min=0).flatten(1)[..., None].expand(-1, -1, self.width)
         goals = tokens.tasks.gather(1, index).view(batch_size, num_drones, bundle_size, self.width)
-        homes = self.home(tokens.drones)[:, :, None]  # (B, N, 1, D)
-        goals = torch.cat([torch.where(there[..., None], goals, homes), homes], dim=2)
-        owners = tokens.drones[:, :, None].expand_as(goals)
-        ranks = sinusoids(torch.arange(bundle_size + 1, device=goals.device), self.width, 100.0).expand_as(goals)
-        legs = self.leg(torch.cat([goals, owners, ranks], dim=-1))
-        order = torch.arange(bundle_size + 1, device=goals.device)
-        last = there.sum(dim=2, keepdim=True) - (~batch.has_end[..., None]).long()  # (B, N, 1)
-        present = (order <= last)[..., None].to(legs.dtype)
-        mean = (legs * present).sum(dim=2) / present.sum(dim=2).clamp(min=1.0)
-        return legs, tokens.drones + mean
+        there = nn.functional.pad(there, (0, 1))  # (B, N, R + 1)
+        goals = nn.functional.pad(goals, (0, 0, 0, 1))
+        num_legs = there.sum(dim=2) + batch.has_end.long()  # (B, N)
+        return self.legs(goals, there, tokens.drones, num_legs)
+
+    def legs(self, goals: Tensor, is_task: Tensor, drones: Tensor, num_legs: Tensor) -> tuple[Tensor, Tensor]:
+        """Leg tokens (..., L, D) and drone tokens (..., D).
+
+        Args:
+            goals: (..., L, D) the tokens of the tasks that legs lead to.
+            is_task: (..., L) whether there is such a task; other legs lead home.
+            drones: (..., D) the drones' tokens.
+            num_legs: (...) how many legs there are.
+        """
+        goals = torch.where(is_task[..., None], goals, self.home(drones)[..., None, :])
+        order = torch.arange(goals.shape[-2], device=goals.device)
+        ranks = sinusoids(order, self.width, 100.0).expand_as(goals)
+        legs = self.leg(torch.cat([goals, drones[..., None, :].expand_as(goals), ranks], dim=-1))
+        present = (order < num_legs[..., None])[..., None].to(legs.dtype)
+        mean = (legs * present).sum(dim=-2) / present.sum(dim=-2).clamp(min=1.0)
+        return legs, drones + mean

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -103,6 +104,32 @@ class Denoiser(nn.Module):
             rows = block(rows, vectors, None)
         return rows, vectors
 
+    def patches_of(self, features: Tensor, legs: Tensor) -> Tensor:
+        """(R, P, D): all that does not change with noise and its level, of drones each on its own.
+
+        Args:
+            features: (R, T, 3 + F) of each sample, after three zeros in the place of the noisy sample.
+            legs: (R, P, D) the mean of the leg tokens of each patch's samples.
+        """
+        told = self.samples_in(features.reshape(features.shape[0], self.settings.num_patches, -1))
+        return told + self.leg_in(legs) + self.time_embedding
+
+    def modulations(self, drones: Tensor, levels: Sequence[int]) -> list[tuple[Tensor, ...]]:
+        """For each noise level what drone tokens (R, D) do to each block, and to the output: (R, 1, 6 D), last (R, 1, 2 D)."""
+        level = self.level_in(sinusoids(torch.tensor(levels, device=drones.device), self.settings.width))  # (levels, D)
+        vectors = nn.functional.silu(level[:, None, None] + self.drone_in(drones)[:, None])  # (levels, R, 1, D)
+        layers = [*(block.modulation for block in self.blocks), self.modulation]
+        return list(zip(*(layer(vectors).unbind() for layer in layers), strict=True))
+
+    def alone(self, noisy: Tensor, told: Tensor, modulations: Sequence[Tensor]) -> Tensor:
+        """Clean samples (R, T, 3) of drones each on its own: `forward` with what stays from step to step computed before."""
+        weight = self.samples_in.weight.unflatten(1, (self.settings.patch, -1))[:, :, :3].flatten(1)
+        tokens = told + nn.functional.linear(noisy.reshape(*told.shape[:2], -1), weight)
+        for block, modulation in zip(self.blocks, modulations[:-1], strict=True):
+            tokens = block.modulated(tokens, modulation, None)
+        shift, scale = modulations[-1].chunk(2, dim=-1)
+        return self.samples_out(torch.addcmul(shift, self.norm(tokens), 1.0 + scale)).reshape(noisy.shape)
+
 
 class Block(nn.Module):
     """Attention and an MLP, each shifted, scaled and gated by the condition; gates begin at zero."""
@@ -118,13 +145,17 @@ class Block(nn.Module):
 
     def forward(self, tokens: Tensor, vectors: Tensor, mask: Tensor | None) -> Tensor:
         """Tokens (B, U, D); conditions (B, U or 1, D), already activated; mask (B, 1, 1, U) of what may be heard."""
+        return self.modulated(tokens, self.modulation(vectors), mask)
+
+    def modulated(self, tokens: Tensor, modulation: Tensor, mask: Tensor | None) -> Tensor:
+        """The same from the conditions' modulation, (B, U or 1, 6 D)."""
         batch, count, width = tokens.shape
-        shift, scale, gate, mlp_shift, mlp_scale, mlp_gate = self.modulation(vectors).chunk(6, dim=-1)
-        normed = self.norms[0](tokens) * (1.0 + scale) + shift
+        shift, scale, gate, mlp_shift, mlp_scale, mlp_gate = modulation.chunk(6, dim=-1)
+        normed = torch.addcmul(shift, self.norms[0](tokens), 1.0 + scale)
         query, key, value = self.qkv(normed).view(batch, count, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
         mixed = nn.functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-        tokens = tokens + gate * self.out(mixed.transpose(1, 2).reshape(batch, count, width))
-        return tokens + mlp_gate * self.mlp(self.norms[1](tokens) * (1.0 + mlp_scale) + mlp_shift)
+        tokens = torch.addcmul(tokens, gate, self.out(mixed.transpose(1, 2).reshape(batch, count, width)))
+        return torch.addcmul(tokens, mlp_gate, self.mlp(torch.addcmul(mlp_shift, self.norms[1](tokens), 1.0 + mlp_scale)))
 
 
 def _zeroed(layer: nn.Linear) -> nn.Linear:

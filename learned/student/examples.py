@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 from flockopt.errors import SettingsError
 from flockopt.geometry import FloatArray
 from flockopt.scene import Scene
-from flockopt.trajectory.waypoints import leg_clear
 from learned.rollout import anchors_of
+from learned.student.leg_clearance import obstructions
+from learned.student.leg_layout import lay_out
 
 __all__ = ["Example", "example", "with_ways"]
-
-#: A leg whose straight line is clear gets this share of the samples that its length would bring it.
-CLEAR_SHARE = 0.25
 
 IntArray = NDArray[np.int64]
 
@@ -65,38 +63,15 @@ def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64
     Raises:
         SettingsError: If a drone has more anchors than samples.
     """
-    shape = (scene.num_drones, num_samples)
-    leg_index, leg_begin, leg_end = (np.zeros(shape, dtype=np.int64) for _ in range(3))
-    straight = np.repeat(scene.starts[:, None], num_samples, axis=1)
-    blocked = np.zeros(shape, dtype=np.bool_)
-    for drone, route in enumerate(routes):
-        anchors = anchors_of(scene, drone, route)
-        if len(anchors) < 2:
-            continue
-        if len(anchors) > num_samples:
+    anchors = [anchors_of(scene, drone, route) for drone, route in enumerate(routes)]
+    offsets = np.cumsum([0, *map(len, anchors)])
+    for drone, num_legs in enumerate(np.diff(offsets) - 1):
+        if num_legs >= num_samples:
             rule = f"a drone has at most {num_samples - 1} legs"
-            raise SettingsError(
-                f"bundles[{drone}]", f"makes {len(anchors) - 1} legs", rule, "spread the tasks over more drones"
-            )
-        is_blocked = np.array([not leg_clear(scene, drone, leg) for leg in np.stack([anchors[:-1], anchors[1:]], axis=1)])
-        lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1)
-        places = _anchor_places(lengths * np.where(is_blocked, 1.0, CLEAR_SHARE), num_samples)
-        legs = np.clip(np.searchsorted(places, np.arange(num_samples)) - 1, 0, None)  # (T,)
-        leg_index[drone], leg_begin[drone], leg_end[drone] = legs, places[legs], places[legs + 1]
-        phase = (np.arange(num_samples) - places[legs]) / (places[legs + 1] - places[legs])
-        straight[drone] = anchors[legs] + phase[:, None] * (anchors[legs + 1] - anchors[legs])
-        straight[drone, places] = anchors
-        blocked[drone] = is_blocked[legs]
-    return Example(scene, tuple(tuple(route) for route in routes), leg_index, leg_begin, leg_end, straight, blocked)
-
-
-def _anchor_places(weights: FloatArray, num_samples: int) -> IntArray:
-    """The samples of the anchors: rising from the first to the last, spaced by the legs' weights."""
-    ideal = np.concatenate([[0.0], np.cumsum(weights)]) / max(float(weights.sum()), 1e-9) * (num_samples - 1)
-    places = np.round(ideal).astype(np.int64)
-    ranks = np.arange(len(places))
-    places = np.maximum.accumulate(places - ranks) + ranks
-    return np.minimum(places, num_samples - len(places) + ranks)
+            raise SettingsError(f"bundles[{drone}]", f"makes {num_legs} legs", rule, "spread the tasks over more drones")
+    straight = np.repeat(scene.starts[:, None], num_samples, axis=1)
+    legs, blocked = lay_out(obstructions(scene), np.concatenate(anchors), offsets, straight)
+    return Example(scene, tuple(tuple(route) for route in routes), *legs, straight, blocked)
 
 
 def with_ways(base: Example, legs: Sequence[Sequence[FloatArray]], *, teaches_allocation: bool = True) -> Example:

@@ -7,20 +7,51 @@ it, keeps what the scene asks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from flockopt.geometry import FloatArray
-from flockopt.trajectory.waypoints import CHORD_TOLERANCE, anchored_legs, leg_clear, thinned
+from flockopt.trajectory.waypoints import CHORD_TOLERANCE, anchored_legs
 from learned.student.batch import FleetBatch, collate
 from learned.student.examples import Example
-from learned.student.model import Student
+from learned.student.leg_choice import best_legs, rank
+from learned.student.leg_clearance import obstructions
+from learned.student.rows import Place, Rows, points_of, rows_of
+from learned.student.scene_encoder import AgentTokens
+from learned.student.settings import StudentSettings
 
-__all__ = ["Drawing", "draw", "task_probabilities"]
+__all__ = ["Drawing", "Network", "decide", "draw", "task_probabilities"]
+
+#: Tries are told apart leg by leg where they pass their anchors within this, metres.
+SAME_ANCHOR_M = 1e-3
+
+
+class Network(Protocol):
+    """What is asked of a `learned.student.model.Student`, or of one that stands in for it."""
+
+    settings: StudentSettings
+
+    @property
+    def draws_rows(self) -> bool:
+        """Whether `sample` may be asked; `draw` otherwise."""
+
+    def allocate(self, batch: FleetBatch) -> Tensor:
+        """(B, M, N) log-probabilities."""
+
+    def decide(self, batch: FleetBatch) -> tuple[Tensor, AgentTokens]:
+        """The same, and the tokens that they come from."""
+
+    def sample(self, rows: Rows, noise: Tensor, steps: int) -> Tensor:
+        """Residuals (R, T, 3) of drones each on its own."""
+
+    def draw(self, batch: FleetBatch, scene: Tensor, drone: Tensor, noise: Tensor, steps: int) -> Tensor:
+        """(tries, R, T, 3) m, with whole fleets in view."""
 
 
 @dataclass(frozen=True)
@@ -31,23 +62,40 @@ class Drawing:
         samples: (N, T, 3) m.
         clear: (N,) whether the drone's polyline through samples and anchors is clear, thinned as the decoder thins it.
         num_drawn: Drones that the network was asked about.
+        example: What was drawn on: the scene, the bundles, and where their anchors are among the samples.
     """
 
     samples: FloatArray
     clear: NDArray[np.bool_]
     num_drawn: int
+    example: Example
 
 
 @torch.inference_mode()
-def task_probabilities(student: Student, batch: FleetBatch) -> list[FloatArray]:
+def task_probabilities(student: Network, batch: FleetBatch) -> list[FloatArray]:
     """For each scene of a batch (N, M) probabilities, p_ij in the paper; NaN where the network fails."""
-    probabilities = student.allocate(batch).exp().double().numpy()
+    return _unpadded(batch, student.allocate(batch))
+
+
+def _unpadded(batch: FleetBatch, log_probs: Tensor) -> list[FloatArray]:
+    """Log-probabilities (B, M, N) as probabilities (N, M), scene by scene."""
+    probabilities = log_probs.exp().double().numpy()
     counts = zip(batch.drone_mask.sum(dim=1).tolist(), batch.task_mask.sum(dim=1).tolist(), strict=True)
     return [probabilities[index, :m, :n].T for index, (n, m) in enumerate(counts)]
 
 
 @torch.inference_mode()
-def draw(student: Student, examples: Sequence[Example], *, steps: int = 2, tries: int = 4, seed: int = 0) -> list[Drawing]:
+def decide(student: Network, batch: FleetBatch) -> tuple[list[FloatArray], AgentTokens]:
+    """`task_probabilities`, and the tokens that they come from, which `draw` may go on with."""
+    log_probs, tokens = student.decide(batch)
+    return _unpadded(batch, log_probs), tokens
+
+
+@torch.inference_mode()
+def draw(
+    student: Network, examples: Sequence[Example], *, steps: int = 2, tries: int = 4, seed: int = 0,
+    tokens: AgentTokens | None = None,
+) -> list[Drawing]:  # fmt: skip
     """Trajectories of the fleets of a batch of scenes with bundles.
 
     Args:
@@ -57,63 +105,74 @@ def draw(student: Student, examples: Sequence[Example], *, steps: int = 2, tries
         tries: How many are drawn to choose from: the first for all, the others for drones that are not clear yet, if each
             drone is drawn on its own.
         seed: Of the noise.
+        tokens: Of the scenes, if `decide` made them already.
     """
-    batch = collate(examples)
     apart = not student.settings.fleet_attention
-    wanted = (batch.ways.active & batch.ways.blocked.any(dim=-1) if apart else batch.ways.active).nonzero()  # (R, 2)
+    drawn = [(one.blocked.any(axis=1) if apart else one.active) for one in examples]
+    wanted = [(index, int(drone)) for index, drones in enumerate(drawn) for drone in np.flatnonzero(drones)]
     generator = torch.Generator().manual_seed(seed)
-    drawn: list[dict[int, FloatArray]] = [{} for _ in examples]
-    drawings = [_chosen(one, {}) for one in examples]
+    tries_of: dict[Place, FloatArray] = {}
+    drawings = [
+        Drawing(one.straight.copy(), ~one.blocked.any(axis=1), int(drones.sum()), one)
+        for one, drones in zip(examples, drawn, strict=True)
+    ]
+    pencil = _pencil(student, examples, steps, tokens) if wanted else None
     # With fleet attention a drone's second try would be of another fleet: all are made at once.
     for count in (1, tries - 1) if apart else (tries,):
-        if not count or not len(wanted):
+        if pencil is None or not count or not wanted:
             break
-        noise = torch.randn(count, len(wanted), *batch.ways.straight.shape[2:], generator=generator)
-        points = student.draw(batch, *wanted.unbind(dim=1), noise, steps).double().numpy()  # (count, R, T, 3)
-        for row, (index, drone) in enumerate(wanted.tolist()):
-            drawn[index][drone] = np.concatenate([drawn[index].get(drone, points[:0, row]), points[:, row]])
-        drawings = [_chosen(one, tries_of) for one, tries_of in zip(examples, drawn, strict=True)]
-        wanted = torch.tensor([place for place in wanted.tolist() if not drawings[place[0]].clear[place[1]]])
+        noise = torch.randn(count, len(wanted), student.settings.num_samples, 3, generator=generator)
+        points = pencil(wanted, noise)  # (count, R, T, 3) m
+        for row, place in enumerate(wanted):
+            tries_of[place] = np.concatenate([tries_of.get(place, points[:0, row]), points[:, row]])
+            _choose(examples[place[0]], drawings[place[0]], place[1], tries_of[place])
+        wanted = [(index, drone) for index, drone in wanted if not drawings[index].clear[drone]]
     return drawings
 
 
-def _chosen(one: Example, tries_of: dict[int, FloatArray]) -> Drawing:
-    """The best of the tries (tries, T, 3) of each drone; the straight way of drones without."""
-    samples, clear = one.straight.copy(), ~one.blocked.any(axis=1)
-    for drone, tries in tries_of.items():
-        finite = tries[np.isfinite(tries).all(axis=(1, 2))]
-        if len(finite):
-            samples[drone], clear[drone] = _best_try(one, drone, finite)
-    return Drawing(samples, clear, len(tries_of))
+#: From places and noise (tries, R, T, 3) to points of this shape, metres.
+Pencil: TypeAlias = Callable[[Sequence[Place], Tensor], FloatArray]
 
 
-def _best_try(one: Example, drone: int, tries: FloatArray) -> tuple[FloatArray, bool]:
-    """The best samples (T, 3) of some finite tries (tries, T, 3), leg by leg where they share their anchors."""
-    if not _shares_anchors(one, drone, tries):
-        ranked = [_rank(one, drone, anchored_legs(one.scene, drone, one.routes[drone], samples)) for samples in tries]
-        best = min(range(len(tries)), key=ranked.__getitem__)
-        return tries[best], not ranked[best][0]
-    result, all_clear = one.straight[drone].copy(), True
-    for leg in np.unique(one.leg_index[drone][one.blocked[drone]]):
-        at = np.flatnonzero(one.leg_index[drone] == leg)[-1]
-        first, last = one.leg_begin[drone, at], one.leg_end[drone, at]
-        ends = result[[first, last]]
-        legs = [np.vstack([ends[:1], samples[first + 1 : last], ends[1:]]) for samples in tries]
-        ranked = [_rank(one, drone, [way]) for way in legs]
-        best = min(range(len(tries)), key=ranked.__getitem__)
-        result[first : last + 1] = legs[best]
-        all_clear &= not ranked[best][0]
-    return result, all_clear
+def _pencil(student: Network, examples: Sequence[Example], steps: int, tokens: AgentTokens | None) -> Pencil:
+    """What draws: row by row where the student can, else with whole fleets in view."""
+    if student.draws_rows:
+        known = student.decide(collate(examples))[1] if tokens is None else tokens
+
+        def rows(places: Sequence[Place], noise: Tensor) -> FloatArray:
+            asked = rows_of(student.settings, known, examples, places)
+            several = Rows(*(tensor.repeat(len(noise), *[1] * (tensor.dim() - 1)) for tensor in asked))
+            residuals = student.sample(several, noise.flatten(0, 1), steps).view(noise.shape)
+            return points_of(examples, places, residuals)
+
+        return rows
+    batch = collate(examples)
+
+    def fleets(places: Sequence[Place], noise: Tensor) -> FloatArray:
+        scene, drone = torch.tensor(places).unbind(dim=1)
+        points: FloatArray = student.draw(batch, scene, drone, noise, steps).double().numpy()
+        return points
+
+    return fleets
+
+
+def _choose(one: Example, drawing: Drawing, drone: int, tries: FloatArray) -> None:
+    """Put the best of some tries (tries, T, 3) into the drawing; the straight way stays where none is finite."""
+    finite = tries[np.isfinite(tries).all(axis=(1, 2))]
+    if not len(finite):
+        return
+    tolerance = CHORD_TOLERANCE * one.scene.drones[drone].radius
+    space = obstructions(one.scene)
+    if _shares_anchors(one, drone, finite):
+        samples = one.straight[drone].copy()
+        is_clear = best_legs(space, drone, one.leg_end[drone], one.blocked[drone], samples, finite, tolerance)
+    else:
+        ways = [anchored_legs(one.scene, drone, one.routes[drone], samples) for samples in finite]
+        ranked = [sum(rank(space, drone, leg, tolerance) for leg in legs) for legs in ways]
+        samples, is_clear = finite[int(np.argmin(ranked))], min(ranked) < np.inf
+    drawing.samples[drone], drawing.clear[drone] = samples, is_clear
 
 
 def _shares_anchors(one: Example, drone: int, tries: FloatArray) -> bool:
-    places = np.unique(np.concatenate([one.leg_begin[drone], one.leg_end[drone]]))
-    return bool(np.allclose(tries[:, places], one.straight[drone, places], atol=1e-3))
-
-
-def _rank(one: Example, drone: int, legs: Sequence[FloatArray]) -> tuple[bool, float]:
-    """Whether some of the legs (V, 3) is blocked, and their length where none is: less is better."""
-    tolerance = CHORD_TOLERANCE * one.scene.drones[drone].radius
-    if not all(leg_clear(one.scene, drone, thinned(leg, tolerance)) for leg in legs):
-        return True, 0.0
-    return False, float(sum(np.linalg.norm(np.diff(leg, axis=0), axis=1).sum() for leg in legs))
+    places = np.concatenate([one.leg_begin[drone], one.leg_end[drone]])
+    return bool(np.abs(tries[:, places] - one.straight[drone, places]).max() <= SAME_ANCHOR_M)

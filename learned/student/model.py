@@ -13,9 +13,10 @@ from learned.student.allocation_head import AttentionHead, ProductHead
 from learned.student.batch import FleetBatch, Ways
 from learned.student.bundle_encoder import BundleEncoder
 from learned.student.denoiser import Conditions, Denoiser
-from learned.student.diffusion import ddim
+from learned.student.diffusion import ddim, noise_levels
 from learned.student.leg_frame import leg_frames, num_sample_features, sample_features, to_points, to_residuals
-from learned.student.scene_encoder import SceneEncoder, SceneTokens
+from learned.student.rows import Rows
+from learned.student.scene_encoder import AgentTokens, SceneEncoder, SceneTokens
 from learned.student.settings import StudentSettings
 
 __all__ = ["Student"]
@@ -40,9 +41,48 @@ class Student(nn.Module):
         self.denoiser = Denoiser(settings, num_sample_features(nearest) if nearest else 0)
         self.register_buffer("spread", torch.ones(3))
 
-    def allocate(self, batch: FleetBatch, tokens: SceneTokens | None = None) -> Tensor:
+    def ready(self) -> Student:
+        """The same, its matrices stored the way in which few rows are multiplied with them soonest: for inference."""
+        for layer in self.modules():
+            if isinstance(layer, nn.Linear) and layer is not self.denoiser.samples_in:
+                layer.weight.data = layer.weight.data.t().contiguous().t()
+        return self.eval()
+
+    @property
+    def draws_rows(self) -> bool:
+        """Whether `sample` may be asked: drones are drawn each on its own, in their legs' frames, at no place in the list."""
+        settings = self.settings
+        slots = settings.num_drone_slots
+        return settings.frame == "leg" and settings.nearest_obstacles > 0 and not settings.fleet_attention and not slots
+
+    def allocate(self, batch: FleetBatch, tokens: SceneTokens | AgentTokens | None = None) -> Tensor:
         """(B, M, N) log-probabilities: for every task, over drones."""
-        return self.head(batch, self.encoder(batch) if tokens is None else tokens)
+        tokens = self.encoder.agents(batch) if tokens is None else tokens
+        return self.head(batch, tokens.drones, tokens.tasks)
+
+    def decide(self, batch: FleetBatch) -> tuple[Tensor, AgentTokens]:
+        """Log-probabilities as `allocate` gives them, and the tokens they come from, for `sample`."""
+        tokens = self.encoder.agents(batch)
+        return self.head(batch, tokens.drones, tokens.tasks), tokens
+
+    def sample(self, rows: Rows, noise: Tensor, steps: int) -> Tensor:
+        """(R, T, 3): residuals of some drones each on its own, by DDIM from noise of this shape.
+
+        The same as `draw`, but that whatever does not change from step to step is computed once, and that residuals become
+        points elsewhere (`learned.student.rows.points_of`).
+        """
+        num_levels = self.settings.num_noise_levels
+        if self.settings.objective == "regression":
+            noise, steps = torch.zeros_like(noise), 1
+        legs, drones = self.bundle_encoder.legs(rows.goals, rows.is_task, rows.drones, rows.num_legs)
+        told = self.denoiser.patches_of(rows.features, rows.shares @ legs)  # (R, P, D)
+        levels = noise_levels(steps, num_levels)[:-1]
+        modulations = iter(self.denoiser.modulations(drones, levels))
+
+        def denoise(noisy: Tensor, _: Tensor) -> Tensor:
+            return self.denoiser.alone(noisy, told, next(modulations))
+
+        return ddim(denoise, noise, steps, num_levels) * self.spread
 
     def condition(
         self, batch: FleetBatch, rows: tuple[Tensor, Tensor] | None = None, tokens: SceneTokens | None = None

@@ -26,8 +26,9 @@ from flockopt.trajectory.decode import decode
 from flockopt.trajectory.waypoints import waypoints_from_paths
 
 if TYPE_CHECKING:
-    from learned.student.inference import Drawing
+    from learned.student.inference import Drawing, Network
     from learned.student.model import Student
+    from learned.student.scene_encoder import AgentTokens
 
 __all__ = [
     "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "hybrid", "learned", "learned_paper", "searched_plan", "shipped_student",
@@ -65,48 +66,55 @@ def shipped_student(path: Path = WEIGHTS) -> Student:
     return load_student(path)
 
 
+def _computed(student: Student) -> Network:
+    """The student as the backend computes it that ``FLOCKOPT_STUDENT_BACKEND`` names: see `learned.student.backend`."""
+    from learned.student.backend import chosen_backend, network
+
+    return network(student, chosen_backend())
+
+
 def learned(request: Request) -> Proposal:
     """The network's bundles and flights."""
-    return _drawn_proposal(shipped_student(), request)
+    return _drawn_proposal(_computed(shipped_student()), request)
 
 
 def learned_paper(request: Request) -> Proposal:
-    """The same by the paper's configuration."""
+    """The same by the paper's configuration, which draws whole fleets: torch computes it."""
     return _drawn_proposal(shipped_student(PAPER_WEIGHTS), request)
 
 
-def _drawn_proposal(student: Student, request: Request) -> Proposal:
+def _drawn_proposal(student: Network, request: Request) -> Proposal:
     bundles, drawing, timing = drawn_plan(student, request)
     return Proposal(bundles, None if drawing is None else drawing.samples, timing)
 
 
-def drawn_plan(student: Student, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
+def drawn_plan(student: Network, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
     """Bundles from the head, what the denoiser draws for them if it can, and seconds by stage."""
     scene = request.scene
     began = perf_counter()
-    probabilities = _probabilities(student, scene)
+    probabilities, tokens = _decision(student, scene)
     headed = perf_counter()
     bundles = refine_bundles(
         scene, probabilities, travel=request.travel, iterations=REFINING_ITERATIONS, time_limit_s=request.time_limit_s,
         seed=request.seed,
     )  # fmt: skip
     refined = perf_counter()
-    drawing = _drawing(student, scene, bundles, request.seed)
+    drawing = _drawing(student, scene, bundles, request.seed, tokens)
     return bundles, drawing, {"head": headed - began, "refine": refined - headed, "generate": perf_counter() - refined}
 
 
 def hybrid(request: Request) -> Proposal:
     """The better of two searches, one of them guided by the network, and the network's flights; else the classical plan."""
-    bundles, drawing, timing = searched_plan(shipped_student(), request)
+    bundles, drawing, timing = searched_plan(_computed(shipped_student()), request)
     samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
     return Proposal(bundles, samples, timing, otherwise=classical)
 
 
-def searched_plan(student: Student, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
+def searched_plan(student: Network, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
     """The better bundles of two searches, what the denoiser draws for them if it can, and seconds by stage."""
     scene = request.scene
     began = perf_counter()
-    probabilities = _probabilities(student, scene)
+    probabilities, tokens = _decision(student, scene)
     headed = perf_counter()
     share_s = None if request.time_limit_s is None else SEARCH_SHARE * request.time_limit_s
     settings = {"travel": request.travel, "time_limit_s": share_s, "seed": request.seed}
@@ -115,7 +123,7 @@ def searched_plan(student: Student, request: Request) -> tuple[Bundles, Drawing 
         found.append(refine_bundles(scene, probabilities, **settings))  # type: ignore[arg-type]
     best = min(found, key=lambda bundles: (len(bundles.unserved), request.travel.total(bundles.routes)))
     searched = perf_counter()
-    drawing = _drawing(student, scene, best, request.seed)
+    drawing = _drawing(student, scene, best, request.seed, tokens)
     return best, drawing, {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
 
 
@@ -138,19 +146,19 @@ def _sooner(request: Request, bundles: Bundles, samples: FloatArray) -> FloatArr
     return np.where(np.array(is_sooner)[:, None, None], samples, np.stack(padded))
 
 
-def _probabilities(student: Student, scene: Scene) -> FloatArray | None:
-    """(N, M) the head's probabilities; None without tasks, or where they are not finite."""
+def _decision(student: Network, scene: Scene) -> tuple[FloatArray | None, AgentTokens | None]:
+    """(N, M) the head's probabilities, and the tokens behind them; None without tasks, or where they are not finite."""
     from learned.student.batch import collate
     from learned.student.examples import example
-    from learned.student.inference import task_probabilities
+    from learned.student.inference import decide
 
     if not scene.num_tasks:
-        return None
-    (probabilities,) = task_probabilities(student, collate([example(scene, [()] * scene.num_drones)]))
-    return probabilities if np.isfinite(probabilities).all() else None
+        return None, None
+    (probabilities,), tokens = decide(student, collate([example(scene, [()] * scene.num_drones)]))
+    return (probabilities if np.isfinite(probabilities).all() else None), tokens
 
 
-def _drawing(student: Student, scene: Scene, bundles: Bundles, seed: int) -> Drawing | None:
+def _drawing(student: Network, scene: Scene, bundles: Bundles, seed: int, tokens: AgentTokens | None) -> Drawing | None:
     """The fleet drawn and pulled taut; None where a drone has more legs than there are samples: then the paths are flown."""
     from learned.student.examples import example
     from learned.student.inference import draw
@@ -162,5 +170,5 @@ def _drawing(student: Student, scene: Scene, bundles: Bundles, seed: int) -> Dra
         base = example(scene, bundles.routes, student.settings.num_samples)
     except SettingsError:
         return None
-    (drawing,) = draw(student, [base], steps=STEPS, tries=TRIES, seed=seed)
+    (drawing,) = draw(student, [base], steps=STEPS, tries=TRIES, seed=seed, tokens=tokens)
     return replace(drawing, samples=pulled_samples(base, drawing.samples))

@@ -9,10 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from flockopt.geometry import FloatArray
-from flockopt.trajectory.waypoints import leg_clear
+from flockopt.trajectory.waypoints import CHORD_TOLERANCE
 from learned.student.examples import Example
+from learned.student.leg_choice import pull_legs
+from learned.student.leg_clearance import obstructions
 
-__all__ = ["pulled_samples"]
+__all__ = ["pulled_samples", "ways_of"]
 
 
 def pulled_samples(one: Example, samples: FloatArray) -> FloatArray:
@@ -20,22 +22,20 @@ def pulled_samples(one: Example, samples: FloatArray) -> FloatArray:
 
     The corners that are left come first on each leg, and its end is repeated after them.
     """
-    result = samples.copy()
+    result, space = samples.copy(), obstructions(one.scene)
     for drone in np.flatnonzero(one.blocked.any(axis=1)):
-        for leg in np.unique(one.leg_index[drone][one.blocked[drone]]):
-            at = np.flatnonzero(one.leg_index[drone] == leg)[-1]
-            first, last = one.leg_begin[drone, at], one.leg_end[drone, at]
-            way = _pulled(one, int(drone), samples[drone, first : last + 1])
-            result[drone, first : first + len(way)] = way
-            result[drone, first + len(way) : last + 1] = way[-1]
+        tolerance = CHORD_TOLERANCE * one.scene.drones[drone].radius
+        pull_legs(space, int(drone), one.leg_end[drone], one.blocked[drone], result[drone], tolerance)
     return result
 
 
-def _pulled(one: Example, drone: int, way: FloatArray) -> FloatArray:
-    """Vertices of a polyline (V, 3), each the farthest that a clear segment leads to from the one before."""
-    kept = [0]
-    while kept[-1] < len(way) - 1:
-        here = kept[-1]
-        reach = (there for there in range(len(way) - 1, here, -1) if leg_clear(one.scene, drone, way[[here, there]]))
-        kept.append(next(reach, here + 1))
-    return way[kept]
+def ways_of(one: Example, samples: FloatArray) -> list[FloatArray]:
+    """Each drone's polyline (V, 3) m through its anchors, and on the legs whose straight line is blocked its samples.
+
+    Samples (N, T, 3) m are as `pulled_samples` leaves them.
+    """
+    kept = one.blocked.copy()
+    for places in (one.leg_begin, one.leg_end):
+        np.put_along_axis(kept, places, True, axis=1)
+    kept[:, 1:] &= (samples[:, 1:] != samples[:, :-1]).any(axis=2)
+    return [way[is_kept] for way, is_kept in zip(samples, kept, strict=True)]

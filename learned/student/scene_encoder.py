@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +11,7 @@ from torch import Tensor, nn
 from flockopt.geometry import BOX, CYLINDER, SPHERE
 from learned.student.batch import FleetBatch
 
-__all__ = ["SceneEncoder", "SceneTokens", "drone_features", "obstacle_features", "task_features"]
+__all__ = ["AgentTokens", "SceneEncoder", "SceneTokens", "drone_features", "obstacle_features", "task_features"]
 
 NUM_DRONE_FEATURES, NUM_TASK_FEATURES, NUM_OBSTACLE_FEATURES = 11, 4, 11
 
@@ -35,6 +36,13 @@ class SceneTokens:
     def all(self) -> Tensor:
         """(B, N + M + K, D)."""
         return torch.cat([self.drones, self.tasks, self.obstacles], dim=1)
+
+
+class AgentTokens(NamedTuple):
+    """Of the scene tokens those of drones and tasks; rows of padding are zero."""
+
+    drones: Tensor  # (B, N, D)
+    tasks: Tensor  # (B, M, D)
 
 
 def drone_features(batch: FleetBatch) -> Tensor:
@@ -91,23 +99,29 @@ class MessageRound(nn.Module):
         self.task_to_drone = nn.Linear(hidden, hidden, bias=False)
         self.drone_to_drone = nn.Linear(hidden, hidden, bias=False)
 
-    def forward(self, drones: Tensor, tasks: Tensor, drone_mask: Tensor, task_mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Drones (B, N, H) and tasks (B, M, H) after the round; masks (B, N), (B, M)."""
-        present = drone_mask[..., None].to(drones.dtype)
-        everyone = self.drone_to_drone(drones) * present
-        others = (present.sum(dim=1, keepdim=True) - present).clamp(min=1.0)
-        fleet = (everyone.sum(dim=1, keepdim=True) - everyone) / others
-        from_tasks = _masked_mean(self.task_to_drone(tasks), task_mask)
-        from_drones = _masked_mean(self.drone_to_task(drones), drone_mask)
+    def forward(self, drones: Tensor, tasks: Tensor, shares: Shares) -> tuple[Tensor, Tensor]:
+        """Drones (B, N, H) and tasks (B, M, H) after the round. Means are taken before the maps, which comes to the same."""
+        fleet = self.drone_to_drone(shares.others @ drones)
+        from_tasks = self.task_to_drone(shares.tasks @ tasks)
+        from_drones = self.drone_to_task(shares.drones @ drones)
         heard = nn.functional.silu(self.drone_self(drones) + fleet + from_tasks)
         told = nn.functional.silu(self.task_self(tasks) + from_drones)
         return heard, told
 
 
-def _masked_mean(values: Tensor, mask: Tensor) -> Tensor:
-    """(B, 1, H): the mean of (B, U, H) over what the mask (B, U) holds; zero where that is nothing."""
-    present = mask[..., None].to(values.dtype)
-    return (values * present).sum(dim=1, keepdim=True) / present.sum(dim=1, keepdim=True).clamp(min=1.0)
+class Shares(NamedTuple):
+    """The weights of means over neighbours; zero where there is none."""
+
+    drones: Tensor  # (B, 1, N)
+    tasks: Tensor  # (B, 1, M)
+    others: Tensor  # (B, N, N), of the other drones
+
+    @staticmethod
+    def of(drone_mask: Tensor, task_mask: Tensor, dtype: torch.dtype) -> Shares:
+        """From masks (B, N), (B, M) of who is there."""
+        drones, tasks = drone_mask[:, None].to(dtype), task_mask[:, None].to(dtype)
+        others = drones * (1.0 - torch.eye(drone_mask.shape[1], dtype=dtype, device=drone_mask.device))
+        return Shares(*(present / present.sum(dim=-1, keepdim=True).clamp(min=1.0) for present in (drones, tasks, others)))
 
 
 class SceneEncoder(nn.Module):
@@ -124,12 +138,25 @@ class SceneEncoder(nn.Module):
 
     def forward(self, batch: FleetBatch) -> SceneTokens:
         """Tokens of width D."""
-        drones = nn.functional.silu(self.drone_in(drone_features(batch)))  # (B, N, H)
-        tasks = nn.functional.silu(self.task_in(task_features(batch)))  # (B, M, H)
-        for message_round in self.rounds:
-            drones, tasks = message_round(drones, tasks, batch.drone_mask, batch.task_mask)
+        drones, tasks = self.agents(batch)
         obstacles = self.obstacle(obstacle_features(batch))  # (B, K, D)
         masks = batch.drone_mask, batch.task_mask, batch.ways.obstacle_mask
-        tokens = self.drone_out(drones), self.task_out(tasks), obstacles
-        kept = [part.masked_fill(~mask[..., None], 0.0) for part, mask in zip(tokens, masks, strict=True)]
-        return SceneTokens(*kept, mask=torch.cat(masks, dim=1))
+        kept = _without_padding(obstacles, masks[2])
+        return SceneTokens(drones, tasks, kept, mask=torch.cat(masks, dim=1))
+
+    def agents(self, batch: FleetBatch) -> AgentTokens:
+        """The tokens of drones and tasks, which do not depend on the obstacles."""
+        drones = nn.functional.silu(self.drone_in(drone_features(batch)))  # (B, N, H)
+        tasks = nn.functional.silu(self.task_in(task_features(batch)))  # (B, M, H)
+        shares = Shares.of(batch.drone_mask, batch.task_mask, drones.dtype)
+        for message_round in self.rounds:
+            drones, tasks = message_round(drones, tasks, shares)
+        return AgentTokens(
+            _without_padding(self.drone_out(drones), batch.drone_mask),
+            _without_padding(self.task_out(tasks), batch.task_mask),
+        )
+
+
+def _without_padding(tokens: Tensor, mask: Tensor) -> Tensor:
+    """Tokens (B, U, D), zero where the mask (B, U) is false."""
+    return tokens * mask[..., None]
