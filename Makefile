@@ -61,6 +61,7 @@ bench: $(READY)  ## run every benchmark on a few small scenes
 	$(RUN) -m benchmarks.replanning --events 4 --drones 4 --tasks 8 --families forest city --out out/bench/replanning
 	$(RUN) -m benchmarks.teacher_ablation --scenes 2 --seed 0 --drones 4 --tasks 8 --families forest city --out out/bench/teacher
 	$(RUN) -m benchmarks.student_ablation --scenes 1 --seed 0 --out out/bench/student
+	$(RUN) -m benchmarks.timed_flights --scenes 2 --seed 0 --drones 3 --tasks 6 --out out/bench/timed
 	$(RUN) -m benchmarks.scalability --scenes 1 --seed 0 --tasks 8 12 --out out/bench/scalability
 	$(RUN) -m benchmarks.pipeline --scenes 2 --seed 0 --drones 4 --tasks 8 --out out/bench/pipeline
 

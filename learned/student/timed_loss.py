@@ -26,8 +26,11 @@ __all__ = ["TimedLoss", "Verdict", "imitation_loss", "stage_cost", "verdicts"]
 ROOM_PARTS = 10
 
 #: Weights of an intrusion by one unit at the worst place and on the average, of what pieces exceed their limits by on the
-#: average, and of taking longer than before.
-WORST_WEIGHT, MEAN_WEIGHT, OVER_WEIGHT, SLOWER_WEIGHT = 6.0, 20.0, 2.0, 4.0
+#: average, and of taking longer than `LONGEST`.
+WORST_WEIGHT, MEAN_WEIGHT, OVER_WEIGHT, SLOWER_WEIGHT = 6.0, 20.0, 2.0, 8.0
+
+#: A stage may not take longer than it was given; this share of that is what it is to keep to.
+LONGEST = 0.996
 
 #: Residuals farther off than this many spreads count linearly.
 HUBER = 3.0
@@ -39,26 +42,26 @@ class Verdict:
 
     Attributes:
         cost: (B,) as a share of the given stage's.
-        slower: (B,) by which share of the given time it takes longer; 0 where it does not.
+        time: (B,) as a share of the given stage's.
         over: (B, P) how much slower than it is every piece has to be flown to keep its limits, as a share.
         intrusion: (B, P, Q) how much nearer to an obstacle or farther out of bounds it is than it may be, units.
     """
 
     cost: Tensor
-    slower: Tensor
+    time: Tensor
     over: Tensor
     intrusion: Tensor
 
     @property
     def accepted(self) -> Tensor:
         """(B,) bool: cheaper, no slower, and clear where it was looked at."""
-        return (self.cost < 1.0) & (self.slower <= 0.0) & (self.intrusion.amax(dim=(1, 2)) <= 0.0)
+        return (self.cost < 1.0) & (self.time <= 1.0) & (self.intrusion.amax(dim=(1, 2)) <= 0.0)
 
     @property
     def penalty(self) -> Tensor:
         """(B,) for what would have the stage refused."""
         worst = self.intrusion.amax(dim=(1, 2))
-        limits = OVER_WEIGHT * self.over.mean(dim=1) + SLOWER_WEIGHT * self.slower
+        limits = OVER_WEIGHT * self.over.mean(dim=1) + SLOWER_WEIGHT * torch.relu(self.time - LONGEST)
         return WORST_WEIGHT * worst + MEAN_WEIGHT * self.intrusion.mean(dim=(1, 2)) + limits
 
 
@@ -99,7 +102,7 @@ def verdicts(
     time = total / (batch.durations * batch.pieces).sum(dim=1)
     offsets = torch.full((ROOM_PARTS,), 0.5) if generator is None else torch.rand(ROOM_PARTS, generator=generator)
     room = intrusions(control, batch, batch.need + extra, offsets.to(control.device))
-    return Verdict(TIME_WEIGHT * time + JERK_WEIGHT * jerk, torch.relu(time - 1.0), torch.relu(factors - 1.0), room)
+    return Verdict(TIME_WEIGHT * time + JERK_WEIGHT * jerk, time, torch.relu(factors - 1.0), room)
 
 
 def stage_cost(verdict: Verdict) -> Tensor:

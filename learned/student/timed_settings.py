@@ -77,7 +77,7 @@ class TimedTrainingSettings:
     """
 
     mode: str = "regression"
-    steps: int = 5000
+    steps: int = 3600
     stages_per_step: int = 64
     learning_rate: float = 1e-3
     warmup_steps: int = 200
@@ -85,7 +85,7 @@ class TimedTrainingSettings:
     ema_decay: float = 0.998
     cost_from: float = 0.0
     imitation_weight: float = 0.0
-    room_m: float = 0.06
+    room_m: float = 0.03
     clip: float = 1.0
     seed: int = 0
     precision: str = "auto"

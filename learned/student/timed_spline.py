@@ -27,7 +27,7 @@ WISHES = (10.0, 3.0, 0.3)
 LIMIT_PHASES = 9
 
 #: How often pieces that exceed their limits get more time, and how much more at a time at the most.
-RETIMINGS, MOST_MORE = 2, 1.3
+RETIMINGS, MOST_MORE = 3, 1.3
 
 #: Weight of what is held.
 HELD = 1e7
@@ -41,6 +41,9 @@ def smoothest(batch: StageBatch, wished: Tensor, durations: Tensor, weights: Ten
         wished: (B, J, 3, 3) states.
         durations: (B, P).
         weights: (B, J, 3) of wished positions, velocities and accelerations, > 0.
+
+    Returns:
+        The states; NaN for stages whose wishes or durations are not finite.
     """
     exact = wished.double()
     times = torch.where(batch.pieces, durations.double(), 1.0)
@@ -55,17 +58,20 @@ def smoothest(batch: StageBatch, wished: Tensor, durations: Tensor, weights: Ten
     places = at_phase(batch.states, batch.durations, batch.phases).double()
     matrix = matrix + HELD * _assembled(rows[..., :, None] * rows[..., None, :] * passing[..., None, None])
     right = right + HELD * _scattered(rows * passing[..., None], places)
-    factor = torch.linalg.cholesky(matrix)
+    factor, failed = torch.linalg.cholesky_ex(matrix)  # NaN must not raise: whoever proposed it is left alone with it
+    factor = torch.where(failed[:, None, None] > 0, torch.nan, factor)
     return torch.cholesky_solve(right, factor).unflatten(1, (-1, 3)).to(wished.dtype)
 
 
-def flyable(batch: StageBatch, wished: Tensor, durations: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+def flyable(
+    batch: StageBatch, wished: Tensor, durations: Tensor, weights: Tensor, retimings: int = RETIMINGS
+) -> tuple[Tensor, Tensor]:
     """States and durations (B, P) of the smoothest chain near what is wished, more time being given where limits ask for it.
 
     What is still exceeded afterwards is for the whole stage to be flown slower.
     """
     states = smoothest(batch, wished, durations, weights)
-    for _ in range(RETIMINGS):
+    for _ in range(retimings):
         factors = slowing(control_points(states, durations), durations, batch)
         durations = durations * factors.clamp(1.0, MOST_MORE)
         states = smoothest(batch, wished, durations, weights)
