@@ -176,7 +176,7 @@ def collate(examples: Sequence[Example], multiple: int = 1) -> FleetBatch:
     """
     scenes = [one.scene for one in examples]
     num_drones = _rounded_up(max(scene.num_drones for scene in scenes), multiple)
-    num_tasks = _rounded_up(max(scene.num_tasks for scene in scenes), multiple)
+    num_tasks = _rounded_up(max([1, *(scene.num_tasks for scene in scenes)]), multiple)
     num_obstacles = _rounded_up(max([1, *(len(scene.obstacles) for scene in scenes)]), multiple)
     drones, tasks = [scene.num_drones for scene in scenes], [scene.num_tasks for scene in scenes]
     has_end = [np.isfinite(scene.ends[:, 0]) for scene in scenes]

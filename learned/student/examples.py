@@ -21,7 +21,7 @@ from learned.rollout import anchors_of
 from learned.student.leg_clearance import obstructions
 from learned.student.leg_layout import lay_out
 
-__all__ = ["Example", "example", "with_ways"]
+__all__ = ["Example", "example", "unassigned", "with_ways"]
 
 IntArray = NDArray[np.int64]
 
@@ -72,6 +72,13 @@ def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64
     straight = np.repeat(scene.starts[:, None], num_samples, axis=1)
     legs, blocked = lay_out(obstructions(scene), np.concatenate(anchors), offsets, straight)
     return Example(scene, tuple(tuple(route) for route in routes), *legs, straight, blocked)
+
+
+def unassigned(scene: Scene) -> Example:
+    """A scene before there are bundles, with one sample a drone: all that an allocation head reads."""
+    nothing = np.zeros((scene.num_drones, 1), dtype=np.int64)
+    routes: tuple[tuple[int, ...], ...] = ((),) * scene.num_drones
+    return Example(scene, routes, nothing, nothing, nothing, scene.starts[:, None], nothing > 0)
 
 
 def with_ways(base: Example, legs: Sequence[Sequence[FloatArray]], *, teaches_allocation: bool = True) -> Example:

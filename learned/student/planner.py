@@ -149,12 +149,12 @@ def _sooner(request: Request, bundles: Bundles, samples: FloatArray) -> FloatArr
 def _decision(student: Network, scene: Scene) -> tuple[FloatArray | None, AgentTokens | None]:
     """(N, M) the head's probabilities, and the tokens behind them; None without tasks, or where they are not finite."""
     from learned.student.batch import collate
-    from learned.student.examples import example
+    from learned.student.examples import unassigned
     from learned.student.inference import decide
 
     if not scene.num_tasks:
         return None, None
-    (probabilities,), tokens = decide(student, collate([example(scene, [()] * scene.num_drones)]))
+    (probabilities,), tokens = decide(student, collate([unassigned(scene)]))
     return (probabilities if np.isfinite(probabilities).all() else None), tokens
 
 

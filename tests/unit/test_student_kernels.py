@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -70,7 +71,7 @@ def plain_places(weights, num_samples):
 def test_samples_are_laid_out_as_plainly(one):
     for drone, route in enumerate(one.routes):
         anchors = anchors_of(one.scene, drone, route)
-        legs = list(zip(anchors[:-1], anchors[1:], strict=True))
+        legs = list(pairwise(anchors))
         blocked = np.array([not leg_clear(one.scene, drone, np.stack(leg)) for leg in legs])
         lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1)
         places = plain_places(lengths * np.where(blocked, 1.0, CLEAR_SHARE), 64)

@@ -16,7 +16,7 @@ from flockopt.plan import PLANNERS, Proposal  # noqa: E402
 from flockopt.trajectory.waypoints import anchored_legs, leg_clear, thinned  # noqa: E402
 from learned.student import planner  # noqa: E402
 from learned.student.batch import collate  # noqa: E402
-from learned.student.examples import example  # noqa: E402
+from learned.student.examples import example, unassigned  # noqa: E402
 from learned.student.inference import draw, task_probabilities  # noqa: E402
 from learned.student.planner import hybrid, learned, shipped_student  # noqa: E402
 from learned.student.pulling import pulled_samples  # noqa: E402
@@ -100,6 +100,8 @@ def test_batches_of_scenes_are_drawn_as_one_by_one():
     alone = [task_probabilities(student, collate([one]))[0] for one in examples]
     together = task_probabilities(student, collate(examples))
     assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(alone, together, strict=True))
+    (before_bundles,) = task_probabilities(student, collate([unassigned(examples[0].scene)]))
+    assert np.array_equal(before_bundles, alone[0])
     assert [drawing.samples.shape for drawing in draw(student, examples)] == [(3, 64, 3)] * 3
 
 
@@ -114,6 +116,17 @@ def test_no_tasks_and_too_little_capacity(forest):
     grounded = dataclasses.replace(forest, drones=tuple(dataclasses.replace(drone, capacity=1) for drone in forest.drones))
     for name in ("learned", "hybrid"):
         assert plan(grounded, planner=name).status == "infeasible"
+
+
+def test_drones_that_only_fly_home_are_drawn_too(planners):
+    one = taught_example("forest", drones=6, tasks=12, seed=1)
+    drone = int(np.flatnonzero(one.blocked.any(axis=1))[0])
+    leg = np.flatnonzero(one.blocked[drone])[-1]
+    begin, end = (one.straight[drone, places[drone, leg]] for places in (one.leg_begin, one.leg_end))
+    home = dataclasses.replace(one.scene.drones[drone], start=tuple(begin), end=tuple(end))
+    scene = dataclasses.replace(one.scene, drones=(home,), tasks=())
+    (drawing,) = draw(planners, [example(scene, [()])])
+    assert drawing.num_drawn == 1 and np.allclose(drawing.samples[0, [0, -1]], [begin, end])
 
 
 def test_the_classical_planner_steps_in_where_a_clause_fails(forest, monkeypatch):
