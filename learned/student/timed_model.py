@@ -83,10 +83,18 @@ class TimedNetwork(nn.Module):
             clean = ddim(denoise, start, STEPS, levels)
         return clean * self.spread
 
-    def propose(self, batch: StageBatch, extra: Tensor, noise: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """States (B, J, 3, 3) and durations (B, P), in the drones' units: arguments as for `changes`."""
-        frames = flat_frames(batch)
-        return self.decoded(batch, frames, self.changes(batch, frames, extra, noise))
+    def propose(
+        self, batch: StageBatch, extra: Tensor, noise: Tensor | None = None, shares: tuple[float, ...] = (1.0,)
+    ) -> tuple[Tensor, Tensor]:
+        """States and durations in the drones' units, arguments as for `changes`.
+
+        ``shares`` are how much of the changes to wish for; each stage comes once for each of them in turn, so that states
+        are (B * len(shares), J, 3, 3) and durations (B * len(shares), P).
+        """
+        frames, times = flat_frames(batch), len(shares)
+        changes = self.changes(batch, frames, extra, noise).repeat_interleave(times, dim=0)
+        scales = torch.tensor(shares, device=changes.device).repeat(len(extra))[:, None, None]
+        return self.decoded(batch.repeated(times), frames.repeat_interleave(times, dim=0), changes * scales)
 
     def decoded(self, batch: StageBatch, frames: Tensor, changes: Tensor) -> tuple[Tensor, Tensor]:
         """The smoothest states near those that residuals (B, J, 10) wish for, and their durations: see `flyable`."""

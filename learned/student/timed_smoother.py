@@ -30,8 +30,8 @@ __all__ = ["WEIGHTS", "NetworkProposer", "shipped_timed", "smooth_flights"]
 #: The weights that come with the package.
 WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "student-timed.safetensors"
 
-#: Extra room that proposals are asked for to keep, metres: one each, the boldest first.
-ROOMS_M = (0.0, 0.01, 0.03)
+#: How much of the changes that the network asks for to wish for: a proposal each, the boldest first.
+SHARES = (1.0, 0.85, 0.7)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +40,12 @@ class NetworkProposer:
 
     Attributes:
         network: In evaluation mode.
-        rooms_m: Extra room to ask for, metres; a proposal for each.
+        shares: Of the network's changes; a proposal for each.
         seed: Of the noise that the mode ``diffusion`` begins with.
     """
 
     network: TimedNetwork
-    rooms_m: tuple[float, ...] = ROOMS_M
+    shares: tuple[float, ...] = SHARES
     seed: int = 0
 
     def __call__(self, scene: Scene, stages: Sequence[tuple[Drone, Stage]]) -> list[list[Stage]]:
@@ -60,14 +60,13 @@ class NetworkProposer:
         if not asked:
             return result
         units = [unit_stage(StageRecord.of(scene, *stages[index])) for index in asked]
-        batch = collate_stages(units).repeated(len(self.rooms_m))
+        batch = collate_stages(units)
         with torch.inference_mode():
-            extra = torch.tensor(self.rooms_m).repeat(len(units)) / batch.length_m
             noise = torch.randn(*batch.joints.shape, 10, generator=torch.Generator().manual_seed(self.seed))
-            states, durations = self.network.propose(batch, extra, noise)
-        for row, index in enumerate(np.repeat(asked, len(self.rooms_m))):
+            states, durations = self.network.propose(batch, torch.zeros_like(batch.need), noise, self.shares)
+        for row, index in enumerate(np.repeat(asked, len(self.shares))):
             drone, stage = stages[index]
-            result[index].append(_stage(drone, stage, units[row // len(self.rooms_m)], states[row], durations[row]))
+            result[index].append(_stage(drone, stage, units[row // len(self.shares)], states[row], durations[row]))
         return result
 
 
