@@ -3,7 +3,8 @@
 ``learned`` is the network's answer: its head's probabilities refined to bundles, its denoiser's samples as control points;
 it searches no paths, and where a leg comes out blocked the pipeline's decoder mends it. ``hybrid`` searches bundles from
 the head's probabilities and as the classical planner does, keeps the better ones, flies what is drawn where that is sooner
-than the shortest path, and hands over to the classical planner where a clause of the certificate fails.
+than the shortest path, has the timed flights' network smooth the fleet, and hands over to the classical planner where a
+clause of the certificate fails.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from flockopt.plan import Proposal, Request, classical
 from flockopt.scene import Scene
 from flockopt.trajectory.decode import decode
 from flockopt.trajectory.waypoints import waypoints_from_paths
+from learned.student.timed_smoother import smooth_flights
 
 if TYPE_CHECKING:
     from learned.student.inference import Drawing, Network
@@ -44,8 +46,9 @@ REFINING_ITERATIONS = 100
 #: DDIM steps, and how many tries of each leg there are to choose from.
 STEPS, TRIES = 2, 4
 
-#: What the head's and the denoiser's part of a time limit leaves to the search, for each of the two searches.
-SEARCH_SHARE = 0.45
+#: Shares of a time limit for the search that the head guides, and for the one that begins from nothing; the networks have
+#: the rest.
+GUIDED_SHARE, SEARCH_SHARE = 0.1, 0.8
 
 #: A drawn flight must end sooner than the one along the shortest path by this, seconds.
 LEAST_GAIN_S = 1e-3
@@ -104,10 +107,10 @@ def drawn_plan(student: Network, request: Request) -> tuple[Bundles, Drawing | N
 
 
 def hybrid(request: Request) -> Proposal:
-    """The better of two searches, one of them guided by the network, and the network's flights; else the classical plan."""
+    """The better of two searches, one of them guided by the network, and the networks' flights; else the classical plan."""
     bundles, drawing, timing = searched_plan(_computed(shipped_student()), request)
     samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
-    return Proposal(bundles, samples, timing, otherwise=classical)
+    return Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights)
 
 
 def searched_plan(student: Network, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
@@ -116,15 +119,19 @@ def searched_plan(student: Network, request: Request) -> tuple[Bundles, Drawing 
     began = perf_counter()
     probabilities, tokens = _decision(student, scene)
     headed = perf_counter()
-    share_s = None if request.time_limit_s is None else SEARCH_SHARE * request.time_limit_s
-    settings = {"travel": request.travel, "time_limit_s": share_s, "seed": request.seed}
-    found = [refine_bundles(scene, **settings)]  # type: ignore[arg-type]
+    found = [_searched(request, None, SEARCH_SHARE)]
     if probabilities is not None:
-        found.append(refine_bundles(scene, probabilities, **settings))  # type: ignore[arg-type]
+        found.append(_searched(request, probabilities, GUIDED_SHARE))
     best = min(found, key=lambda bundles: (len(bundles.unserved), request.travel.total(bundles.routes)))
     searched = perf_counter()
     drawing = _drawing(student, scene, best, request.seed, tokens)
     return best, drawing, {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
+
+
+def _searched(request: Request, probabilities: FloatArray | None, share: float) -> Bundles:
+    """Bundles of one search, in its share of the time limit if there is one."""
+    share_s = None if request.time_limit_s is None else share * request.time_limit_s
+    return refine_bundles(request.scene, probabilities, travel=request.travel, time_limit_s=share_s, seed=request.seed)
 
 
 def _sooner(request: Request, bundles: Bundles, samples: FloatArray) -> FloatArray | None:
