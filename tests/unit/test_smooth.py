@@ -275,3 +275,23 @@ def test_without_casadi_the_extra_is_named(simple, monkeypatch):
         smooth(*simple)
     with pytest.raises(MissingExtra, match="casadi"):
         plan(simple[0], smoothing=True)
+
+
+def test_the_solver_may_begin_elsewhere_and_never_ends_dearer_than_a_feasible_start():
+    scene = generate("forest", drones=4, tasks=8, seed=4)
+    given = flown(scene)
+    cold = smooth_each(scene, given)
+    warm = smooth_each(scene, given, starts={name: each.flight for name, each in cold.items()})
+    check_report(scene, given, warm)
+    assert all(warm[name].cost_after <= each.cost_after * (1.0 + 1e-9) for name, each in cold.items())
+    assert sum(each.iterations for each in warm.values()) < sum(each.iterations for each in cold.values())
+
+
+def test_a_start_of_other_pieces_is_not_made_use_of(simple):
+    scene, given = simple
+    first = {
+        name: dataclasses.replace(flight, curve=Curve(flight.curve.breakpoints[:2], flight.curve.coefficients[:1]), visits=())
+        for name, flight in given.items()
+    }
+    plain, again = smooth_each(scene, given), smooth_each(scene, given, starts=first)
+    assert all(again[name].cost_after == each.cost_after for name, each in plain.items())
