@@ -77,7 +77,7 @@ def _events(options: argparse.Namespace, family: str, count: int) -> Iterator[di
     seed, margin_m = options.seed, options.tracking_margin
     while count > 0:
         scene = generate(family, drones=options.drones, tasks=options.tasks, seed=seed)
-        flying, rng = plan(scene, seed=seed, tracking_margin_m=margin_m), np.random.default_rng([seed, 7])
+        flying, rng = plan(scene, planner="classical", seed=seed, tracking_margin_m=margin_m), np.random.default_rng([seed, 7])
         for event in range(min(EVENTS_A_FLIGHT, count)):
             kind = KINDS[int(rng.integers(len(KINDS)))]
             changes = _changes(scene, kind, f"{seed}-{event}", rng)

@@ -95,7 +95,11 @@ def _parser() -> argparse.ArgumentParser:
     plan = _command(commands, "plan", "plan a scene: routes, trajectories, certificate", PLAN_EXAMPLES, cli_commands.plan)
     plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
     plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
-    plan.add_argument("--planner", default="classical", metavar="NAME", help="which planner (default: classical)")
+    plan.add_argument(
+        "--planner",
+        metavar="NAME",
+        help="which planner (default: hybrid where its weights and torch are there, else classical)",
+    )
     plan.add_argument(
         "--paths", default="any-angle", metavar="KIND",
         help="what drones fly along: any-angle, the shortest (default); some planners also know voxel26 and voxel6",

@@ -34,8 +34,8 @@ from flockopt.trajectory.tracking_margin import is_enough, margins, roomier
 from flockopt.travel import Travel, compute_travel
 
 __all__ = [
-    "ANY_ANGLE", "Planner", "Proposal", "Request", "Smoother", "draft_plan", "find_planner", "plan", "plan_cost",
-    "planner_names",
+    "ANY_ANGLE", "Planner", "Proposal", "Request", "Smoother", "default_planner", "draft_plan", "find_planner", "plan",
+    "plan_cost", "planner_names",
 ]  # fmt: skip
 
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
@@ -113,10 +113,23 @@ def classical(request: Request) -> Proposal:
 
 PLANNERS: dict[str, Planner] = {"classical": classical}
 
+#: Who plans where nobody is named: the first of these that is there and ready.
+PREFERRED = ("hybrid", "classical")
+
 
 def planner_names() -> tuple[str, ...]:
     """Planners at hand: flockopt's own and those of installed packages."""
     return tuple(sorted({*PLANNERS, *(entry.name for entry in entry_points(group=ENTRY_POINTS))}))
+
+
+def default_planner() -> str:
+    """The planner that `plan` takes where none is named.
+
+    It is ``hybrid`` where its weights and what computes them are installed, else ``classical``. A planner that needs more
+    than its module says in an attribute ``is_ready``, a function, whether that is there.
+    """
+    known = planner_names()
+    return next(name for name in PREFERRED if name in known and getattr(_planner(name), "is_ready", lambda: True)())
 
 
 def find_planner(name: str, paths: str = ANY_ANGLE) -> Planner:
@@ -146,7 +159,7 @@ def _planner(name: str) -> Planner:
 def plan(
     scene: Scene,
     *,
-    planner: str = "classical",
+    planner: str | None = None,
     time_limit_s: float | None = None,
     seed: int = 0,
     bound: str = "tight",
@@ -159,7 +172,7 @@ def plan(
 
     Args:
         scene: The scene.
-        planner: Who proposes: see `planner_names`.
+        planner: Who proposes: see `planner_names`; None for `default_planner`.
         time_limit_s: Seconds for the whole plan; None lets the planner stop by its own measure, which makes the
             answer the same on every machine.
         seed: For everything random.
@@ -181,6 +194,7 @@ def plan(
             positive, or a negative seed or margin.
         MissingExtra: If smoothing is asked for and CasADi is not installed.
     """
+    planner = default_planner() if planner is None else planner
     propose = find_planner(planner, paths)
     _check_settings(time_limit_s, seed, bound)
     margin_m = reading.number(SettingsError, "tracking_margin_m", tracking_margin_m, least=0.0)

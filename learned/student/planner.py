@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from flockopt.plan import Proposal, Request, classical
 from flockopt.scene import Scene
 from flockopt.trajectory.decode import decode
 from flockopt.trajectory.waypoints import waypoints_from_paths
+from learned.student.timed_smoother import WEIGHTS as TIMED_WEIGHTS
 from learned.student.timed_smoother import smooth_flights
 
 if TYPE_CHECKING:
@@ -111,6 +113,14 @@ def hybrid(request: Request) -> Proposal:
     bundles, drawing, timing = searched_plan(_computed(shipped_student()), request)
     samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
     return Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights)
+
+
+def _is_ready() -> bool:
+    """Whether the weights are there, and what computes them."""
+    return all(path.exists() for path in (WEIGHTS, TIMED_WEIGHTS)) and all(map(find_spec, ("torch", "safetensors")))
+
+
+hybrid.is_ready = _is_ready  # type: ignore[attr-defined]
 
 
 def searched_plan(student: Network, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:

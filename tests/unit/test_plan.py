@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flockopt import Bundles, SettingsError, Task, generate, plan
-from flockopt.plan import PLANNERS, Proposal, planner_names
+from flockopt.plan import PLANNERS, Proposal, default_planner, planner_names
 from tests.flights import drone, make_scene
 
 
@@ -26,10 +26,21 @@ def test_the_same_seed_gives_the_same_plan(scene):
 
 def test_stages_are_reported_and_timed(scene):
     seen = []
-    result = plan(scene, progress=lambda stage, fraction: seen.append((stage, fraction)))
+    result = plan(scene, planner="classical", progress=lambda stage, fraction: seen.append((stage, fraction)))
     assert [stage for stage, _ in seen] == ["travel", "allocate", "bound", "decode", "deconflict", "certify"]
     assert [fraction for _, fraction in seen] == sorted(fraction for _, fraction in seen)
     assert {"allocate", "generate", "decode", "certify", "total"} <= result.timing.keys()
+
+
+def test_the_hybrid_plans_where_nobody_is_named_and_it_is_ready(scene, monkeypatch):
+    student = pytest.importorskip("learned.student.planner")
+    pytest.importorskip("torch")
+    assert default_planner() == plan(scene).planner == "hybrid"
+    with monkeypatch.context() as patch:
+        patch.setattr(student, "WEIGHTS", student.WEIGHTS.with_name("missing.safetensors"))
+        assert default_planner() == plan(scene).planner == "classical"
+    monkeypatch.setattr(student, "find_spec", lambda name: None if name == "torch" else name)
+    assert default_planner() == "classical"
 
 
 def test_a_time_limit_that_is_used_up_still_ends_in_a_plan(scene):
