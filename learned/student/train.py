@@ -36,6 +36,7 @@ from learned.student.examples import Example
 from learned.student.inference import draw
 from learned.student.loss import StudentLoss
 from learned.student.model import Student
+from learned.student.schedule import is_bfloat16, rate_at
 from learned.student.settings import CONFIGS
 from learned.student.training_settings import PRECISIONS, TrainingSettings
 
@@ -49,9 +50,6 @@ CHECKPOINT_STEPS, LOG_STEPS = 250, 25
 
 #: Counts in batches are rounded up to multiples of this.
 COUNT_STEP = 4
-
-#: The learning rate ends at this share of its highest.
-LAST_RATE = 0.02
 
 
 class Trainer:
@@ -101,10 +99,9 @@ class Trainer:
         generator = torch.Generator().manual_seed((settings.seed * 1_000_003 + self.step) * 1009 + self.rank)
         batch = self._batch().mirrored(generator).to(self.device)
         for group in self.optimiser.param_groups:
-            group["lr"] = settings.learning_rate * _rate(self.step, settings)
-        kind = torch.bfloat16 if _is_bfloat16(settings.precision, self.device) else torch.float32
-        # sequences are short, and of the fused kernels the backward pass in bfloat16 is several times slower on CPUs
-        with sdpa_kernel(SDPBackend.MATH):
+            group["lr"] = settings.learning_rate * rate_at(self.step, settings.steps, settings.warmup_steps)
+        kind = torch.bfloat16 if is_bfloat16(settings.precision, self.device) else torch.float32
+        with sdpa_kernel(self._attention):
             with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=kind is torch.bfloat16):
                 total, terms = self.loss(batch, settings.loss_weights(self.step), generator)
             self.optimiser.zero_grad()
@@ -114,6 +111,13 @@ class Trainer:
         self.step += 1
         self._average()
         return {name: float(value) for name, value in {"total": total.detach(), **terms}.items()}
+
+    @property
+    def _attention(self) -> list[SDPBackend]:
+        """What computes attention: the fused kernels, whose backward pass takes several times longer on a drone's few tokens."""
+        if self.student.settings.fleet_attention:
+            return [SDPBackend.FLASH_ATTENTION, SDPBackend.EFFICIENT_ATTENTION, SDPBackend.MATH]
+        return [SDPBackend.MATH]
 
     def _batch(self) -> FleetBatch:
         """This process's part of the step's scenes: every epoch is a new order of all examples."""
@@ -163,22 +167,6 @@ def _spread(student: Student, examples: Sequence[Example]) -> Tensor:
     if not len(clean):
         return torch.ones(3)
     return clean.square().mean(dim=(0, 1)).sqrt().clamp(min=1e-3)
-
-
-def _rate(step: int, settings: TrainingSettings) -> float:
-    """The learning rate's share of its highest: it rises, then falls along a cosine."""
-    if step < settings.warmup_steps:
-        return (step + 1) / settings.warmup_steps
-    share = (step - settings.warmup_steps) / max(settings.steps - settings.warmup_steps, 1)
-    return LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + math.cos(math.pi * share))
-
-
-def _is_bfloat16(precision: str, device: torch.device) -> bool:
-    if precision != "auto":
-        return precision == "bfloat16"
-    if device.type == "cuda":
-        return bool(torch.cuda.is_bf16_supported())
-    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
 
 
 def run(
