@@ -114,7 +114,7 @@ class Trainer:
 
     @property
     def _attention(self) -> list[SDPBackend]:
-        """What computes attention: the fused kernels, whose backward pass takes several times longer on a drone's few tokens."""
+        """What computes attention: fused kernels, but for a drone's few tokens, where their backward pass takes far longer."""
         if self.student.settings.fleet_attention:
             return [SDPBackend.FLASH_ATTENTION, SDPBackend.EFFICIENT_ATTENTION, SDPBackend.MATH]
         return [SDPBackend.MATH]
