@@ -18,12 +18,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from flockopt import FlockError, SettingsError, reading, refine_bundles
-from flockopt.backends import BACKENDS
 from flockopt.bundles import Bundles
-from flockopt.families import FAMILIES
-from flockopt.progress_bar import ProgressBar
 from flockopt.scene import Scene
 from flockopt.travel import Travel
+from learned.demonstration_command import add_options, mix_of, write_with_bar
 from learned.demonstration_scenes import SceneMix, draw_scene, random_bundles
 from learned.planner import allocator, bundles_of, refined
 from learned.rollout import NUM_SAMPLES, roll_out
@@ -165,44 +163,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m learned.demonstrations", description=(__doc__ or "").split("\n")[0])
-    mix = SceneMix()
-    parser.add_argument("--scenes", type=int, default=20000, help="how many (default 20000)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first scene; the others follow (default 0)")
+    add_options(parser, SceneMix(), scenes=20000)
     parser.add_argument("--teacher", default="search", help=f"who makes the bundles: {', '.join(TEACHERS)} (default search)")
     parser.add_argument("--paths", default=ANY_ANGLE, help=f"what legs are: {', '.join(PATHS)} (default {ANY_ANGLE})")
-    parser.add_argument("--family", default=mix.family, help=f"{', '.join(FAMILIES)} or all (default all)")
-    parser.add_argument("--hard", type=float, default=mix.hard_share, metavar="SHARE", help="of hard scenes (default 0.5)")
-    parser.add_argument(
-        "--usual", type=float, default=mix.usual_share, metavar="SHARE", help="of scenes with 10 drones, 20 tasks (default 0.7)"
-    )
-    parser.add_argument(
-        "--margin", type=float, default=mix.margin, metavar="M",
-        help=f"how much farther from obstacles than they must paths keep, metres (default {mix.margin:g})",
-    )  # fmt: skip
     parser.add_argument("--samples", type=int, default=NUM_SAMPLES, help=f"of each drone (default {NUM_SAMPLES})")
-    parser.add_argument("--jobs", type=int, default=1, help="shards side by side (default 1)")
-    parser.add_argument(
-        "--backend", default="loky", help=f"where they are made: {', '.join(BACKENDS)} (default loky: processes)"
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder for the shards")
     return parser
 
 
 def _run(options: argparse.Namespace) -> None:
-    scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
-    jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
-    mix = SceneMix(options.family, options.hard, options.usual, options.margin)
-    settings = DemonstrationSettings(mix, options.seed, options.teacher, options.paths, options.samples)
-    if options.backend not in BACKENDS:
-        raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
-    bars: list[ProgressBar] = []
-    write_demonstrations(
-        options.out, scenes, settings, jobs=jobs, backend=options.backend,
-        begun=lambda total, done: bars.append(ProgressBar(total, done)),
-        done=lambda words: bars[0].advance(words), warn=lambda words: bars[0].note(words),
-    )  # fmt: skip
-    for bar in bars:
-        bar.close()
+    settings = DemonstrationSettings(mix_of(options), options.seed, options.teacher, options.paths, options.samples)
+    write_with_bar(options, partial(write_demonstrations, settings=settings))
 
 
 if __name__ == "__main__":

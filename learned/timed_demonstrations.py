@@ -18,17 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from flockopt import FlockError, SettingsError, certify, compute_travel, decode, deconflict, reading, refine_bundles
-from flockopt.backends import BACKENDS
 from flockopt.bundles import Bundles
 from flockopt.curve import Flight
-from flockopt.families import FAMILIES
 from flockopt.plan import draft_plan, plan_cost
-from flockopt.progress_bar import ProgressBar
 from flockopt.scene import Scene
 from flockopt.trajectory.smooth import Smoothed, smooth_each
 from flockopt.trajectory.stages import split
 from flockopt.travel import Travel
 from learned.array_files import Arrays
+from learned.demonstration_command import add_options, mix_of, write_with_bar
 from learned.demonstration_scenes import SceneMix, draw_scene, random_bundles
 from learned.shard_runs import ShardRun
 from learned.timed_shards import StageRecord, TimedScene, pack_scenes, read_shard, write_shard
@@ -143,41 +141,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m learned.timed_demonstrations", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--scenes", type=int, default=3000, help="how many (default 3000)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first scene; the others follow (default 0)")
-    parser.add_argument("--family", default=MIX.family, help=f"{', '.join(FAMILIES)} or all (default all)")
-    parser.add_argument(
-        "--hard", type=float, default=MIX.hard_share, metavar="SHARE", help=f"of hard scenes (default {MIX.hard_share:g})"
-    )
-    parser.add_argument(
-        "--usual", type=float, default=MIX.usual_share, metavar="SHARE", help="of scenes with 10 drones, 20 tasks (default 0.7)"
-    )
-    parser.add_argument(
-        "--margin", type=float, default=MIX.margin, metavar="M",
-        help=f"how much farther from obstacles than they must flights keep, metres (default {MIX.margin:g})",
-    )  # fmt: skip
-    parser.add_argument("--jobs", type=int, default=1, help="shards side by side (default 1)")
-    parser.add_argument(
-        "--backend", default="loky", help=f"where they are made: {', '.join(BACKENDS)} (default loky: processes)"
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder for the shards")
+    add_options(parser, MIX, scenes=3000)
     return parser
 
 
 def _run(options: argparse.Namespace) -> None:
-    scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
-    jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
-    settings = TimedSettings(SceneMix(options.family, options.hard, options.usual, options.margin), options.seed)
-    if options.backend not in BACKENDS:
-        raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
-    bars: list[ProgressBar] = []
-    write_timed(
-        options.out, scenes, settings, jobs=jobs, backend=options.backend,
-        begun=lambda total, done: bars.append(ProgressBar(total, done)),
-        done=lambda words: bars[0].advance(words), warn=lambda words: bars[0].note(words),
-    )  # fmt: skip
-    for bar in bars:
-        bar.close()
+    settings = TimedSettings(mix_of(options), options.seed)
+    write_with_bar(options, partial(write_timed, settings=settings))
 
 
 if __name__ == "__main__":
