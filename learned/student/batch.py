@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from flockopt.geometry import OBSTACLE_COLUMNS
+from flockopt.scene import Scene
 from learned.student.examples import Example
 from learned.student.obstacle_distance import signed_distance
 
-__all__ = ["NOTHING", "FleetBatch", "Ways", "collate"]
+__all__ = ["NOTHING", "FleetBatch", "Ways", "collate", "collate_agents", "with_nothing_else"]
 
 #: The index of no task and of no drone.
 NOTHING = -1
@@ -175,12 +176,9 @@ def collate(examples: Sequence[Example], multiple: int = 1) -> FleetBatch:
     other, few shapes spare the backend making code for each.
     """
     scenes = [one.scene for one in examples]
-    num_drones = _rounded_up(max(scene.num_drones for scene in scenes), multiple)
-    num_tasks = _rounded_up(max([1, *(scene.num_tasks for scene in scenes)]), multiple)
+    agents, needs_and_bounds = _agents(scenes, multiple)
+    num_drones, num_tasks = agents["drone_mask"].shape[1], agents["task_mask"].shape[1]
     num_obstacles = _rounded_up(max([1, *(len(scene.obstacles) for scene in scenes)]), multiple)
-    drones, tasks = [scene.num_drones for scene in scenes], [scene.num_tasks for scene in scenes]
-    has_end = [np.isfinite(scene.ends[:, 0]) for scene in scenes]
-    ends = [np.where(there[:, None], scene.ends, scene.starts) for there, scene in zip(has_end, scenes, strict=True)]
     bundle_size = _rounded_up(max([1, *(len(route) for one in examples for route in one.routes)]), multiple)
     bundles = np.full((len(examples), num_drones, bundle_size), NOTHING)
     assignment = np.full((len(examples), num_tasks), NOTHING)
@@ -196,45 +194,73 @@ def collate(examples: Sequence[Example], multiple: int = 1) -> FleetBatch:
         leg_end=_padded([one.leg_end for one in examples], num_drones),
         blocked=_padded([one.blocked for one in examples], num_drones),
         active=_padded([one.active for one in examples], num_drones),
-        needs=_padded([scene.radii + scene.clearance for scene in scenes], num_drones, fill=1.0),
         obstacles=_padded([scene.obstacle_table for scene in scenes], num_obstacles, fill=FAR_AWAY_M),
         obstacle_mask=_mask([len(scene.obstacles) for scene in scenes], num_obstacles),
-        lower=_tensor(np.array([scene.bounds.lower for scene in scenes])),
-        upper=_tensor(np.array([scene.bounds.upper for scene in scenes])),
         target=_padded(targets, num_drones) if len(targets) == len(examples) else None,
+        **needs_and_bounds,
     )
     return FleetBatch(
-        starts=_padded([scene.starts for scene in scenes], num_drones),
-        ends=_padded(ends, num_drones),
-        has_end=_padded(has_end, num_drones),
-        capacities=_padded([scene.capacities for scene in scenes], num_drones),
-        drone_mask=_mask(drones, num_drones),
-        tasks=_padded([scene.task_positions for scene in scenes], num_tasks),
-        demands=_padded([scene.demands for scene in scenes], num_tasks),
-        task_mask=_mask(tasks, num_tasks),
         bundles=torch.from_numpy(bundles),
         assignment=torch.from_numpy(assignment),
         teaches_allocation=torch.tensor([one.teaches_allocation for one in examples]),
         ways=ways,
+        **agents,
     )
+
+
+def collate_agents(scenes: Sequence[Scene]) -> FleetBatch:
+    """Scenes of any sizes before there are bundles: what an allocation head reads of them. The other tensors are empty."""
+    agents, needs_and_bounds = _agents(scenes)
+    return with_nothing_else(agents | needs_and_bounds)
+
+
+def with_nothing_else(tensors: dict[str, Tensor]) -> FleetBatch:
+    """A batch of some tensors of a batch or its ways, by name; the others are empty, and there is no target."""
+    empty = torch.empty(0)
+    ways, batch = (
+        {field.name: tensors.get(field.name, empty) for field in dataclasses.fields(kind)} for kind in (Ways, FleetBatch)
+    )
+    del ways["target"], batch["ways"]
+    return FleetBatch(**batch, ways=Ways(**ways))
+
+
+def _agents(scenes: Sequence[Scene], multiple: int = 1) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """What is known of drones, tasks and bounds: fields of a `FleetBatch`, and of its `Ways`."""
+    drones, tasks = [scene.num_drones for scene in scenes], [scene.num_tasks for scene in scenes]
+    num_drones, num_tasks = _rounded_up(max(drones), multiple), _rounded_up(max([1, *tasks]), multiple)
+    has_end = [np.isfinite(scene.ends[:, 0]) for scene in scenes]
+    ends = [np.where(there[:, None], scene.ends, scene.starts) for there, scene in zip(has_end, scenes, strict=True)]
+    agents = {
+        "starts": _padded([scene.starts for scene in scenes], num_drones),
+        "ends": _padded(ends, num_drones),
+        "has_end": _padded(has_end, num_drones),
+        "capacities": _padded([scene.capacities for scene in scenes], num_drones),
+        "drone_mask": _mask(drones, num_drones),
+        "tasks": _padded([scene.task_positions for scene in scenes], num_tasks),
+        "demands": _padded([scene.demands for scene in scenes], num_tasks),
+        "task_mask": _mask(tasks, num_tasks),
+    }
+    needs_and_bounds = {
+        "needs": _padded([scene.radii + scene.clearance for scene in scenes], num_drones, fill=1.0),
+        "lower": torch.tensor([scene.bounds.lower for scene in scenes], dtype=torch.float32),
+        "upper": torch.tensor([scene.bounds.upper for scene in scenes], dtype=torch.float32),
+    }
+    return agents, needs_and_bounds
 
 
 def _rounded_up(count: int, multiple: int) -> int:
     return -(-count // multiple) * multiple
 
 
-def _tensor(array: np.ndarray) -> Tensor:
-    """Floats as float32, other kinds as they are."""
-    return torch.from_numpy(array.astype(np.float32) if array.dtype.kind == "f" else array.copy())
-
-
 def _padded(arrays: Sequence[np.ndarray], length: int, fill: float = 0.0) -> Tensor:
-    """(B, length, ...): arrays stacked, their first axis filled up."""
-    result = np.full((len(arrays), length, *arrays[0].shape[1:]), fill, dtype=arrays[0].dtype)
+    """(B, length, ...): arrays stacked, their first axis filled up; floats as float32, other kinds as they are."""
+    dtype = np.dtype(np.float32) if arrays[0].dtype.kind == "f" else arrays[0].dtype
+    result = np.empty((len(arrays), length, *arrays[0].shape[1:]), dtype=dtype)
     for index, array in enumerate(arrays):
         result[index, : len(array)] = array
-    return _tensor(result)
+        result[index, len(array) :] = fill
+    return torch.from_numpy(result)
 
 
 def _mask(counts: Sequence[int], length: int) -> Tensor:
-    return torch.arange(length)[None] < torch.tensor(counts)[:, None]
+    return torch.from_numpy(np.arange(length) < np.array(counts)[:, None])

@@ -6,7 +6,6 @@ is one definition of the network whoever computes it.
 
 from __future__ import annotations
 
-import dataclasses
 import warnings
 from typing import Any
 
@@ -14,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from flockopt.errors import SettingsError
-from learned.student.batch import FleetBatch, Ways
+from learned.student.batch import FleetBatch, with_nothing_else
 from learned.student.model import Student
 from learned.student.rows import Rows
 from learned.student.scene_encoder import AgentTokens
@@ -25,6 +24,7 @@ __all__ = ["OF_DRONES", "OF_SCENES", "OF_TASKS", "GraphStudent", "Head", "Sample
 OF_DRONES = ("starts", "ends", "has_end", "capacities", "drone_mask", "needs")
 OF_TASKS = ("tasks", "demands", "task_mask")
 OF_SCENES = ("lower", "upper")
+OF_HEAD = (*OF_DRONES, *OF_TASKS, *OF_SCENES)
 
 
 class Head(nn.Module):
@@ -36,7 +36,7 @@ class Head(nn.Module):
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(B, M, N), (B, N, D) and (B, M, D)."""
-        log_probs, tokens = self.student.decide(_batch(tensors))
+        log_probs, tokens = self.student.decide(with_nothing_else(dict(zip(OF_HEAD, tensors, strict=True))))
         return log_probs, *tokens
 
 
@@ -50,17 +50,6 @@ class Sampler(nn.Module):
     def forward(self, *tensors: Tensor) -> Tensor:
         """(R, T, 3)."""
         return self.student.sample(Rows(*tensors[:-1]), tensors[-1], self.steps)
-
-
-def _batch(tensors: tuple[Tensor, ...]) -> FleetBatch:
-    """A batch that holds what the head reads; the rest is empty."""
-    known = dict(zip((*OF_DRONES, *OF_TASKS, *OF_SCENES), tensors, strict=True))
-    empty = torch.empty(0)
-    parts = [
-        {field.name: known.get(field.name, empty) for field in dataclasses.fields(kind) if field.name not in ("ways", "target")}
-        for kind in (Ways, FleetBatch)
-    ]
-    return FleetBatch(**parts[1], ways=Ways(**parts[0]))
 
 
 class GraphStudent:
@@ -88,8 +77,7 @@ class GraphStudent:
 
     def decide(self, batch: FleetBatch) -> tuple[Tensor, AgentTokens]:
         """As `Student.decide`."""
-        names = *OF_DRONES, *OF_TASKS, *OF_SCENES
-        inputs = tuple(getattr(batch if hasattr(batch, name) else batch.ways, name) for name in names)
+        inputs = tuple(getattr(batch if hasattr(batch, name) else batch.ways, name) for name in OF_HEAD)
         log_probs, drones, tasks = self.run_head(inputs)
         return log_probs, AgentTokens(drones, tasks)
 

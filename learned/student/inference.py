@@ -93,36 +93,38 @@ def decide(student: Network, batch: FleetBatch) -> tuple[list[FloatArray], Agent
 
 @torch.inference_mode()
 def draw(
-    student: Network, examples: Sequence[Example], *, steps: int = 2, tries: int = 4, seed: int = 0,
-    tokens: AgentTokens | None = None,
+    student: Network, examples: Sequence[Example], *, steps: int | tuple[int, int] = 2, tries: int = 4,
+    seed: int | Sequence[int] = 0, tokens: AgentTokens | None = None,
 ) -> list[Drawing]:  # fmt: skip
     """Trajectories of the fleets of a batch of scenes with bundles.
 
     Args:
         student: In evaluation mode.
         examples: Made for the student's number of samples.
-        steps: Of DDIM.
+        steps: Of DDIM; of a pair, the first is for the first try, the second for the others, and for whole fleets.
         tries: How many are drawn to choose from: the first for all, the others for drones that are not clear yet, if each
             drone is drawn on its own.
-        seed: Of the noise.
+        seed: Of the noise; one for each scene, or the same for all. No scene's noise depends on the others.
         tokens: Of the scenes, if `decide` made them already.
     """
     apart = not student.settings.fleet_attention
     drawn = [(one.blocked.any(axis=1) if apart else one.active) for one in examples]
     wanted = [(index, int(drone)) for index, drones in enumerate(drawn) for drone in np.flatnonzero(drones)]
-    generator = torch.Generator().manual_seed(seed)
+    seeds = [seed] * len(examples) if isinstance(seed, int) else seed
+    generators = [torch.Generator().manual_seed(one) for one in seeds]
     tries_of: dict[Place, FloatArray] = {}
     drawings = [
         Drawing(one.straight.copy(), ~one.blocked.any(axis=1), int(drones.sum()), one)
         for one, drones in zip(examples, drawn, strict=True)
     ]
-    pencil = _pencil(student, examples, steps, tokens) if wanted else None
+    pencil = _pencil(student, examples, tokens) if wanted else None
+    first, later = (steps, steps) if isinstance(steps, int) else steps
     # With fleet attention a drone's second try would be of another fleet: all are made at once.
-    for count in (1, tries - 1) if apart else (tries,):
+    for count, num_steps in ((1, first), (tries - 1, later)) if apart else ((tries, later),):
         if pencil is None or not count or not wanted:
             break
-        noise = torch.randn(count, len(wanted), student.settings.num_samples, 3, generator=generator)
-        points = pencil(wanted, noise)  # (count, R, T, 3) m
+        noise = _noise(generators, wanted, (count, student.settings.num_samples))
+        points = pencil(wanted, noise, num_steps)  # (count, R, T, 3) m
         for row, place in enumerate(wanted):
             tries_of[place] = np.concatenate([tries_of.get(place, points[:0, row]), points[:, row]])
             _choose(examples[place[0]], drawings[place[0]], place[1], tries_of[place])
@@ -130,16 +132,24 @@ def draw(
     return drawings
 
 
-#: From places and noise (tries, R, T, 3) to points of this shape, metres.
-Pencil: TypeAlias = Callable[[Sequence[Place], Tensor], FloatArray]
+def _noise(generators: Sequence[torch.Generator], places: Sequence[Place], size: tuple[int, int]) -> Tensor:
+    """(tries, R, T, 3): for places in the scenes' order, each scene's from its own generator; ``size`` is (tries, T)."""
+    counts = np.bincount([index for index, _ in places], minlength=len(generators))
+    parts = zip(counts.tolist(), generators, strict=True)
+    noise = [torch.randn(size[0], count, size[1], 3, generator=generator) for count, generator in parts if count]
+    return torch.cat(noise, dim=1)
 
 
-def _pencil(student: Network, examples: Sequence[Example], steps: int, tokens: AgentTokens | None) -> Pencil:
+#: From places, noise (tries, R, T, 3) and steps of DDIM to points of the noise's shape, metres.
+Pencil: TypeAlias = Callable[[Sequence[Place], Tensor, int], FloatArray]
+
+
+def _pencil(student: Network, examples: Sequence[Example], tokens: AgentTokens | None) -> Pencil:
     """What draws: row by row where the student can, else with whole fleets in view."""
     if student.draws_rows:
         known = student.decide(collate(examples))[1] if tokens is None else tokens
 
-        def rows(places: Sequence[Place], noise: Tensor) -> FloatArray:
+        def rows(places: Sequence[Place], noise: Tensor, steps: int) -> FloatArray:
             asked = rows_of(student.settings, known, examples, places)
             several = Rows(*(tensor.repeat(len(noise), *[1] * (tensor.dim() - 1)) for tensor in asked))
             residuals = student.sample(several, noise.flatten(0, 1), steps).view(noise.shape)
@@ -148,7 +158,7 @@ def _pencil(student: Network, examples: Sequence[Example], steps: int, tokens: A
         return rows
     batch = collate(examples)
 
-    def fleets(places: Sequence[Place], noise: Tensor) -> FloatArray:
+    def fleets(places: Sequence[Place], noise: Tensor, steps: int) -> FloatArray:
         scene, drone = torch.tensor(places).unbind(dim=1)
         points: FloatArray = student.draw(batch, scene, drone, noise, steps).double().numpy()
         return points

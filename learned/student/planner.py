@@ -9,12 +9,13 @@ clause of the certificate fails.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -30,12 +31,14 @@ from learned.student.timed_smoother import WEIGHTS as TIMED_WEIGHTS
 from learned.student.timed_smoother import smooth_flights
 
 if TYPE_CHECKING:
+    from learned.student.examples import Example
     from learned.student.inference import Drawing, Network
     from learned.student.model import Student
     from learned.student.scene_encoder import AgentTokens
 
 __all__ = [
-    "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "hybrid", "learned", "learned_paper", "searched_plan", "shipped_student",
+    "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "drawn_plans", "hybrid", "learned", "learned_paper", "searched_plan",
+    "shipped_student",
 ]  # fmt: skip
 
 #: The weights that come with the package, of the default configuration and of the paper's.
@@ -93,19 +96,38 @@ def _drawn_proposal(student: Network, request: Request) -> Proposal:
     return Proposal(bundles, None if drawing is None else drawing.samples, timing)
 
 
-def drawn_plan(student: Network, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
+#: Bundles, the drawn fleet if it can be drawn, and seconds by stage.
+Drawn: TypeAlias = "tuple[Bundles, Drawing | None, dict[str, float]]"
+
+
+def drawn_plan(student: Network, request: Request) -> Drawn:
     """Bundles from the head, what the denoiser draws for them if it can, and seconds by stage."""
-    scene = request.scene
+    (drawn,) = drawn_plans(student, [request])
+    return drawn
+
+
+def drawn_plans(student: Network, requests: Sequence[Request]) -> list[Drawn]:
+    """`drawn_plan` of several scenes: one pass of the network decides for all of them, and one draws all fleets.
+
+    The seconds of each stage are shared evenly.
+    """
+    if not requests:
+        return []
     began = perf_counter()
-    probabilities, tokens = _decision(student, scene)
+    probabilities, tokens = _decisions(student, [request.scene for request in requests])
     headed = perf_counter()
-    bundles = refine_bundles(
-        scene, probabilities, travel=request.travel, iterations=REFINING_ITERATIONS, time_limit_s=request.time_limit_s,
-        seed=request.seed,
-    )  # fmt: skip
+    found = [
+        refine_bundles(
+            request.scene, preferences, travel=request.travel, iterations=REFINING_ITERATIONS,
+            time_limit_s=request.time_limit_s, seed=request.seed,
+        )
+        for request, preferences in zip(requests, probabilities, strict=True)
+    ]  # fmt: skip
     refined = perf_counter()
-    drawing = _drawing(student, scene, bundles, request.seed, tokens)
-    return bundles, drawing, {"head": headed - began, "refine": refined - headed, "generate": perf_counter() - refined}
+    drawings = _drawings(student, requests, found, tokens)
+    seconds = {"head": headed - began, "refine": refined - headed, "generate": perf_counter() - refined}
+    timing = {stage: total / len(requests) for stage, total in seconds.items()}
+    return [(bundles, drawing, dict(timing)) for bundles, drawing in zip(found, drawings, strict=True)]
 
 
 def hybrid(request: Request) -> Proposal:
@@ -123,18 +145,17 @@ def _is_ready() -> bool:
 hybrid.is_ready = _is_ready  # type: ignore[attr-defined]
 
 
-def searched_plan(student: Network, request: Request) -> tuple[Bundles, Drawing | None, dict[str, float]]:
+def searched_plan(student: Network, request: Request) -> Drawn:
     """The better bundles of two searches, what the denoiser draws for them if it can, and seconds by stage."""
-    scene = request.scene
     began = perf_counter()
-    probabilities, tokens = _decision(student, scene)
+    (preferences,), tokens = _decisions(student, [request.scene])
     headed = perf_counter()
     found = [_searched(request, None, SEARCH_SHARE)]
-    if probabilities is not None:
-        found.append(_searched(request, probabilities, GUIDED_SHARE))
+    if preferences is not None:
+        found.append(_searched(request, preferences, GUIDED_SHARE))
     best = min(found, key=lambda bundles: (len(bundles.unserved), request.travel.total(bundles.routes)))
     searched = perf_counter()
-    drawing = _drawing(student, scene, best, request.seed, tokens)
+    (drawing,) = _drawings(student, [request], [best], tokens)
     return best, drawing, {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
 
 
@@ -163,29 +184,46 @@ def _sooner(request: Request, bundles: Bundles, samples: FloatArray) -> FloatArr
     return np.where(np.array(is_sooner)[:, None, None], samples, np.stack(padded))
 
 
-def _decision(student: Network, scene: Scene) -> tuple[FloatArray | None, AgentTokens | None]:
-    """(N, M) the head's probabilities, and the tokens behind them; None without tasks, or where they are not finite."""
-    from learned.student.batch import collate
-    from learned.student.examples import unassigned
+def _decisions(student: Network, scenes: Sequence[Scene]) -> tuple[list[FloatArray | None], AgentTokens | None]:
+    """For each scene (N, M) the head's probabilities, None without tasks or where they are not finite; and the tokens.
+
+    There are no tokens where no scene has a task.
+    """
+    from learned.student.batch import collate_agents
     from learned.student.inference import decide
 
-    if not scene.num_tasks:
-        return None, None
-    (probabilities,), tokens = decide(student, collate([unassigned(scene)]))
-    return (probabilities if np.isfinite(probabilities).all() else None), tokens
+    if not any(scene.num_tasks for scene in scenes):
+        return [None] * len(scenes), None
+    probabilities, tokens = decide(student, collate_agents(scenes))
+    return [one if one.size and np.isfinite(one).all() else None for one in probabilities], tokens
 
 
-def _drawing(student: Network, scene: Scene, bundles: Bundles, seed: int, tokens: AgentTokens | None) -> Drawing | None:
-    """The fleet drawn and pulled taut; None where a drone has more legs than there are samples: then the paths are flown."""
-    from learned.student.examples import example
+def _drawings(
+    student: Network, requests: Sequence[Request], found: Sequence[Bundles], tokens: AgentTokens | None
+) -> list[Drawing | None]:
+    """Each fleet drawn and pulled taut; None where a drone has more legs than there are samples: then the paths are flown."""
     from learned.student.inference import draw
     from learned.student.pulling import pulled_samples
+
+    bases = [_example(student, request.scene, bundles) for request, bundles in zip(requests, found, strict=True)]
+    places = [place for place, base in enumerate(bases) if base is not None]
+    known = tokens if tokens is None or len(places) == len(bases) else type(tokens)(*(part[places] for part in tokens))
+    seeds = [requests[place].seed for place in places]
+    examples = [base for base in bases if base is not None]
+    drawings = draw(student, examples, steps=STEPS, tries=TRIES, seed=seeds, tokens=known)
+    result: list[Drawing | None] = [None] * len(bases)
+    for place, drawing in zip(places, drawings, strict=True):
+        result[place] = replace(drawing, samples=pulled_samples(drawing.example, drawing.samples))
+    return result
+
+
+def _example(student: Network, scene: Scene, bundles: Bundles) -> Example | None:
+    """What is drawn on, if the student can draw it."""
+    from learned.student.examples import example
 
     if bundles.status == "infeasible":
         return None
     try:
-        base = example(scene, bundles.routes, student.settings.num_samples)
+        return example(scene, bundles.routes, student.settings.num_samples)
     except SettingsError:
         return None
-    (drawing,) = draw(student, [base], steps=STEPS, tries=TRIES, seed=seed, tokens=tokens)
-    return replace(drawing, samples=pulled_samples(base, drawing.samples))

@@ -12,8 +12,9 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from flockopt import Bundles, MissingExtra, SettingsError, generate, plan  # noqa: E402 - torch may be missing
-from flockopt.plan import PLANNERS, Proposal  # noqa: E402
+from flockopt.plan import PLANNERS, Proposal, Request  # noqa: E402
 from flockopt.trajectory.waypoints import anchored_legs, leg_clear, thinned  # noqa: E402
+from flockopt.travel import straight_travel  # noqa: E402
 from learned.student import planner  # noqa: E402
 from learned.student.batch import collate  # noqa: E402
 from learned.student.examples import example, unassigned  # noqa: E402
@@ -103,6 +104,29 @@ def test_batches_of_scenes_are_drawn_as_one_by_one():
     (before_bundles,) = task_probabilities(student, collate([unassigned(examples[0].scene)]))
     assert np.array_equal(before_bundles, alone[0])
     assert [drawing.samples.shape for drawing in draw(student, examples)] == [(3, 64, 3)] * 3
+
+
+def test_plans_of_a_batch_are_those_of_its_scenes(forest):
+    student = tiny_student("small")
+    scenes = [forest, generate("forest", drones=1, tasks=66, seed=0), generate("rooms", drones=3, tasks=6, seed=1)]
+    scenes += [dataclasses.replace(forest, tasks=()), generate("forest", drones=6, tasks=12, seed=1)]
+    requests = [Request(scene, straight_travel(scene), None, seed) for seed, scene in enumerate(scenes)]
+    for request, (bundles, drawing, timing) in zip(requests, planner.drawn_plans(student, requests), strict=True):
+        alone_bundles, alone, _ = planner.drawn_plan(student, request)
+        assert bundles == alone_bundles and timing.keys() == {"head", "refine", "generate"}
+        assert (drawing is None) == (alone is None)
+        if drawing is not None:
+            assert np.allclose(drawing.samples, alone.samples, atol=1e-4) and np.array_equal(drawing.clear, alone.clear)
+    assert planner.drawn_plans(student, []) == []
+
+
+def test_later_tries_may_take_other_steps_than_the_first(planners):
+    one = taught_example("forest", drones=6, tasks=12, seed=1)
+    first, pair, later = (
+        draw(planners, [one], steps=steps, tries=tries) for steps, tries in ((1, 1), ((1, 2), 1), ((2, 1), 1))
+    )
+    assert np.array_equal(first[0].samples, pair[0].samples)
+    assert not np.array_equal(first[0].samples, later[0].samples)
 
 
 def test_a_drone_with_more_legs_than_samples_flies_the_paths(planners):
