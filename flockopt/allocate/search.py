@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flockopt.allocate.request import RouteTuple
-from flockopt.allocate.search_construct import insert_by_regret, insert_routes
+from flockopt.allocate.search_construct import build_routes
 from flockopt.allocate.search_matching import Matching, match_tails, matching_scratch
 from flockopt.allocate.search_moves import recreate, ruin
 from flockopt.allocate.search_state import (
@@ -20,7 +20,6 @@ from flockopt.allocate.search_state import (
     adopt,
     commit,
     compiled,
-    empty_routes,
     random_unit,
     total_cost,
     undo,
@@ -57,6 +56,7 @@ class Stretch(NamedTuple):
     mean_ruined: float
     blink_share: float
     match_share: float
+    from_best: bool  # whether it begins at the best solution
 
 
 def default_iterations(num_tasks: int) -> int:
@@ -84,11 +84,8 @@ def search(
         seed: Of the search's own generator.
     """
     clock = _Clock(iterations, time_limit_s, len(problem.demand))
-    routes = empty_routes(problem, seed)
-    insert_routes(problem, routes, warm_start)
-    insert_by_regret(problem, routes, np.empty((0, 0)) if preference is None else preference)
-    commit(routes)
-    annealer = _Annealer(problem, routes)
+    detour = np.empty((0, 0)) if preference is None else preference
+    annealer = _Annealer(problem, *build_routes(problem, warm_start, detour, seed))
     annealer.run(clock, 0.0, 1.0 - FINAL_SHARE, FIRST_HEAT, LAST_HEAT)
     annealer.return_to_best()
     annealer.run(clock, 1.0 - FINAL_SHARE, 1.0, FINAL_HEAT, FINAL_HEAT)
@@ -129,10 +126,10 @@ class _Clock:
 class _Annealer:
     """A solution being annealed, and the best one seen."""
 
-    def __init__(self, problem: Problem, routes: Routes) -> None:
+    def __init__(self, problem: Problem, routes: Routes, cost: float) -> None:
         self._problem, self._routes, self._matching = problem, routes, matching_scratch()
         num_waiting = routes.counters[NUM_WAITING]
-        self.best_after, self._best_cost = routes.after.copy(), total_cost(problem, routes)
+        self.best_after, self._best_cost, self._from_best = routes.after.copy(), cost, False
         travel, num_served = self._best_cost - problem.penalty * num_waiting, len(problem.demand) - num_waiting
         self._scale = travel / max(num_served, 1)
 
@@ -142,24 +139,25 @@ class _Annealer:
             step = clock.step(end)
             temperature = self._scale * first_heat * (last_heat / first_heat) ** ((share - begin) / (end - begin))
             cooling = 1.0 if clock.is_timed else (last_heat / first_heat) ** (1.0 / step)
-            stretch = Stretch(step, temperature, cooling, MEAN_RUINED, BLINK_SHARE, MATCH_SHARE)
+            stretch = Stretch(step, temperature, cooling, MEAN_RUINED, BLINK_SHARE, MATCH_SHARE, self._from_best)
             state = self._problem, self._routes, self._matching, self.best_after
-            self._best_cost = _anneal(*state, self._best_cost, stretch)
+            self._best_cost, self._from_best = _anneal(*state, self._best_cost, stretch), False
 
     def return_to_best(self) -> None:
-        """Go on from the best solution."""
-        adopt(self._problem, self._routes, self.best_after)
+        """Go on from the best solution, if at all."""
+        self._from_best = True
 
 
 def _extract(problem: Problem, after: IntArray) -> RouteTuple:
     """Routes from their links, cut where a leg has no way."""
     num_tasks, routes = len(problem.demand), []
-    for drone, kind in enumerate(problem.drone_class):
+    following, leg_m = after.tolist(), problem.distance.item
+    for drone, kind in enumerate(problem.drone_class.tolist()):
         tasks, node = [], num_tasks + drone
-        while after[node] < num_tasks and problem.distance[kind, node, after[node]] < problem.no_way:
-            node = int(after[node])
+        while following[node] < num_tasks and leg_m(kind, node, following[node]) < problem.no_way:
+            node = following[node]
             tasks.append(node)
-        if tasks and problem.distance[kind, node, num_tasks + drone] >= problem.no_way:
+        if tasks and leg_m(kind, node, num_tasks + drone) >= problem.no_way:
             tasks = []
         routes.append(tuple(tasks))
     return tuple(routes)
@@ -170,6 +168,8 @@ def _anneal(
     problem: Problem, routes: Routes, matching: Matching, best_after: IntArray, best_cost: float, stretch: Stretch
 ) -> float:
     """Ruin, recreate, match; returns the best cost and leaves its links in ``best_after``."""
+    if stretch.from_best:
+        adopt(problem, routes, best_after)
     cost, temperature = total_cost(problem, routes), stretch.temperature
     for _ in range(stretch.iterations):
         num_waited = routes.counters[NUM_WAITING]

@@ -15,15 +15,18 @@ from flockopt.allocate.search_state import (
     Problem,
     Routes,
     collect_waiting,
+    commit,
     compiled,
+    empty_routes,
     insertion_cost,
     link,
+    total_cost,
 )
 from flockopt.geometry import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["NUM_NEAR", "build_problem", "insert_by_regret", "insert_routes"]
+__all__ = ["NUM_NEAR", "build_problem", "build_routes"]
 
 #: How many of its nearest tasks, and of the nearest kinds of drones, a task is tried beside.
 NUM_NEAR, NUM_NEAR_GROUPS = 20, 10
@@ -33,21 +36,16 @@ def build_problem(scene: Scene, travel: Travel) -> Problem:
     """The arrays that the search works on."""
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
     limits = [np.inf if drone.max_distance is None else drone.max_distance for drone in scene.drones]
-    start_task, no_way, penalty = travel.start_task, *_penalties(travel)
-    distance = np.full((len(travel.task_task), num_tasks + num_drones, num_tasks + num_drones), no_way)
-    distance[:, :num_tasks, :num_tasks] = travel.task_task
-    distance[:, num_tasks:, :num_tasks] = start_task
-    distance[:, :num_tasks, num_tasks:] = travel.task_end.T
-    depots = np.arange(num_tasks, num_tasks + num_drones)
-    distance[:, depots, depots] = travel.start_end
-    np.minimum(distance, no_way, out=distance)
     group, firsts = _groups(scene, travel, limits)
     counts = np.bincount(group)
+    distance = np.empty((len(travel.task_task), num_tasks + num_drones, num_tasks + num_drones))
     near = np.empty((num_tasks, min(NUM_NEAR, max(num_tasks - 1, 0))), dtype=np.uint32)
-    _nearest(distance[:, :num_tasks, :num_tasks].min(axis=0), near, True)
-    alone = start_task[firsts] + travel.task_end[firsts] - travel.start_end[firsts, None]  # (groups, M) m
     near_groups = np.empty((num_tasks, min(NUM_NEAR_GROUPS, len(firsts))), dtype=np.uint32)
-    _nearest(np.ascontiguousarray(np.nan_to_num(alone, nan=no_way, posinf=no_way).T), near_groups, False)
+    remoteness = np.empty(num_tasks)
+    no_way, penalty = _measure(
+        travel.start_task, travel.task_task, travel.task_end, travel.start_end, np.array(firsts), distance, near, near_groups,
+        remoteness, np.empty((num_tasks, num_tasks)), np.empty((num_tasks, len(firsts))),
+    )  # fmt: skip
     return Problem(
         distance=distance,
         drone_class=travel.drone_class.astype(np.uint32),
@@ -57,7 +55,7 @@ def build_problem(scene: Scene, travel: Travel) -> Problem:
         num_members=counts.astype(np.uint32),
         near=near,
         near_groups=near_groups,
-        remoteness=np.minimum(start_task.min(axis=0), no_way),
+        remoteness=remoteness,
         demand=scene.demands.astype(np.int64),
         capacity=scene.capacities.astype(np.int64),
         longest=np.array(limits) + LENGTH_TOLERANCE_M,
@@ -66,13 +64,64 @@ def build_problem(scene: Scene, travel: Travel) -> Problem:
     )
 
 
-def _penalties(travel: Travel) -> tuple[float, float]:
-    """Finite lengths that outweigh any travel: of a leg without a way, and of a task not served."""
-    longest_leg = 1e-9
-    for legs in (travel.start_task, travel.task_task, travel.task_end, travel.start_end):
-        longest_leg = max(longest_leg, float(np.max(legs, initial=0.0, where=np.isfinite(legs))))
-    penalty = 2.0 * longest_leg * sum(travel.start_task.shape)
-    return 100.0 * penalty, penalty
+@compiled
+def _measure(
+    start_task: FloatArray, task_task: FloatArray, task_end: FloatArray, start_end: FloatArray, firsts: NDArray[np.int64],
+    distance: FloatArray, near: IntArray, near_groups: IntArray, remoteness: FloatArray, closest: FloatArray, alone: FloatArray,
+) -> tuple[float, float]:  # fmt: skip
+    """Fill a problem's lengths and neighbours from those of a travel; returns ``no_way`` and ``penalty``.
+
+    Args:
+        start_task: (N, M),
+        task_task: (C, M, M),
+        task_end: (N, M) and
+        start_end: (N,) m, see `flockopt.travel.Travel`.
+        firsts: (groups,) the first drone of each group.
+        distance: Filled, as are
+        near: which, like
+        near_groups: and
+        remoteness: is described at `Problem`.
+        closest: (M, M) m, scratch.
+        alone: (M, groups) m, scratch.
+    """
+    num_drones, num_tasks = start_task.shape
+    longest_leg = max(1e-9, _longest(start_task), _longest(task_end), _longest(start_end))
+    for kind in range(len(task_task)):
+        longest_leg = max(longest_leg, _longest(task_task[kind]))
+    penalty = 2.0 * longest_leg * (num_drones + num_tasks)
+    no_way = 100.0 * penalty
+    distance[:] = no_way
+    closest[:] = no_way
+    remoteness[:] = no_way
+    for kind in range(len(task_task)):
+        for task in range(num_tasks):
+            for other in range(num_tasks):
+                distance[kind, task, other] = min(task_task[kind, task, other], no_way)
+                closest[task, other] = min(closest[task, other], task_task[kind, task, other])
+            for drone in range(num_drones):
+                distance[kind, num_tasks + drone, task] = min(start_task[drone, task], no_way)
+                distance[kind, task, num_tasks + drone] = min(task_end[drone, task], no_way)
+        for drone in range(num_drones):
+            distance[kind, num_tasks + drone, num_tasks + drone] = min(start_end[drone], no_way)
+    for task in range(num_tasks):
+        for drone in range(num_drones):
+            remoteness[task] = min(remoteness[task], start_task[drone, task])
+        for group in range(len(firsts)):
+            detour = start_task[firsts[group], task] + task_end[firsts[group], task] - start_end[firsts[group]]
+            alone[task, group] = detour if detour < np.inf else no_way
+    _nearest(closest, near, True)
+    _nearest(alone, near_groups, False)
+    return no_way, penalty
+
+
+@compiled
+def _longest(legs: FloatArray) -> float:
+    """The longest leg that can be flown, 0 without any, metres."""
+    longest_m = 0.0
+    for leg in legs.flat:
+        if longest_m < leg < np.inf:
+            longest_m = leg
+    return longest_m
 
 
 def _groups(scene: Scene, travel: Travel, limits: list[float]) -> tuple[IntArray, list[int]]:
@@ -109,11 +158,37 @@ def _nearest(matrix: FloatArray, nearest: IntArray, skip_self: bool) -> None:
             nearest[row, place] = column
 
 
-def insert_routes(problem: Problem, routes: Routes, given: RouteTuple) -> None:
-    """Serve tasks in the given order as far as capacities and reach allow; the others go on waiting."""
+def build_routes(problem: Problem, given: RouteTuple, preference: FloatArray, seed: int) -> tuple[Routes, float]:
+    """A first solution, and what it costs, metres.
+
+    Tasks of the given routes are served in their order as far as capacities and reach allow; then the waiting ones, first
+    those that lose most if their best drone is gone (regret insertion).
+
+    Args:
+        problem: The problem.
+        given: Routes to begin with, or none.
+        preference: (M, N) m, what is added to the travel of serving task j by drone i, or (0, 0) for nothing.
+        seed: Of the search to come.
+    """
+    num_tasks, num_drones = len(problem.demand), len(problem.capacity)
     tasks = np.array([task for route in given for task in route], dtype=np.int64)
     drones = np.repeat(np.arange(len(given)), [len(route) for route in given])
+    price, place = np.empty((num_tasks, num_drones)), np.empty((num_tasks, num_drones), dtype=np.uint32)
+    ranks = np.empty((2, num_tasks), dtype=np.uint32)
+    routes = empty_routes(problem, seed)
+    return routes, _build(problem, routes, tasks, drones, preference, price, place, ranks)
+
+
+@compiled
+def _build(
+    problem: Problem, routes: Routes, tasks: NDArray[np.int64], drones: NDArray[np.int64], preference: FloatArray,
+    price: FloatArray, place: IntArray, ranks: IntArray,
+) -> float:  # fmt: skip
+    """One call for all of it: to hand a problem and routes over to compiled code takes longer than what it does there."""
     _insert_in_order(problem, routes, tasks, drones)
+    _insert_by_regret(problem, routes, preference, price, place, ranks[0], ranks[1])
+    commit(routes)
+    return total_cost(problem, routes)
 
 
 @compiled
@@ -126,20 +201,6 @@ def _insert_in_order(problem: Problem, routes: Routes, tasks: NDArray[np.int64],
         if problem.demand[task] <= routes.room[drone] and fits_length(problem, routes, drone, cost):
             link(problem, routes, task, last)
     collect_waiting(problem, routes)
-
-
-def insert_by_regret(problem: Problem, routes: Routes, preference: FloatArray) -> None:
-    """Serve the waiting tasks, first those that lose most if their best drone is gone (regret insertion).
-
-    Args:
-        problem: The problem.
-        routes: Changed in place.
-        preference: (M, N) m, what is added to the travel of serving task j by drone i, or (0, 0) for nothing.
-    """
-    num_tasks, num_drones = len(problem.demand), len(problem.capacity)
-    price, place = np.empty((num_tasks, num_drones)), np.empty((num_tasks, num_drones), dtype=np.uint32)
-    best, second = np.empty(num_tasks, dtype=np.uint32), np.empty(num_tasks, dtype=np.uint32)
-    _insert_by_regret(problem, routes, preference, price, place, best, second)
 
 
 @compiled

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from flockopt.allocate import search as search_module
 from flockopt.allocate.search import default_iterations, search
-from flockopt.allocate.search_construct import build_problem, insert_by_regret
+from flockopt.allocate.search_construct import build_problem, build_routes
 from flockopt.allocate.search_matching import MOST_ROUTES, _match, match_tails, matching_scratch
 from flockopt.allocate.search_moves import recreate, ruin
 from flockopt.allocate.search_state import (
@@ -20,7 +20,6 @@ from flockopt.allocate.search_state import (
     UNSERVED,
     adopt,
     commit,
-    empty_routes,
     random_index,
     random_unit,
     total_cost,
@@ -38,10 +37,7 @@ SETTINGS = [
 def begun(settings: dict, seed: int):
     scene, travel = random_instance(np.random.default_rng(seed), **settings)
     problem = build_problem(scene, travel)
-    routes = empty_routes(problem, seed)
-    insert_by_regret(problem, routes, np.empty((0, 0)))
-    commit(routes)
-    return problem, routes
+    return problem, build_routes(problem, (), np.empty((0, 0)), seed)[0]
 
 
 def links(problem, routes) -> list[list[int]]:
