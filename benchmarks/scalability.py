@@ -9,6 +9,7 @@ goes on to decoded flights.
 - ``learned``: straight distances, head, 100 iterations of search, denoiser for the drones with a blocked leg, choice among
   tries, pulling taut; where a leg stays blocked, the any-angle paths of the routes, which count. torch computes the network;
   in ``learned, openvino`` OpenVINO does, in float32. Loading weights and compiling do not count: they happen once a process.
+- ``learned, batches of 16``: ``learned`` of 16 scenes at a time, of one size; times are a scene's share.
 - ``classical``: any-angle travel, search, paths. ``hybrid``: any-angle travel, both searches, the student's ways.
 - ``voxel6``, ``voxel26``: Dijkstra's costs on a voxel grid, MAGNNET + bundling by them, A* legs: the paper's baseline.
   ``voxel6-greedy``: the same with bundles of a greedy construction, which takes next to no time.
@@ -26,7 +27,7 @@ import dataclasses
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TypeAlias
@@ -55,7 +56,7 @@ from learned.student.batch import collate
 from learned.student.examples import example
 from learned.student.inference import Drawing, Network, decide
 from learned.student.model import Student
-from learned.student.planner import STEPS, drawn_plan, searched_plan, shipped_student
+from learned.student.planner import STEPS, drawn_plans, searched_plan, shipped_student
 from learned.student.pulling import ways_of
 from learned.student.rows import rows_of
 from learned.voxels import VoxelSettings, voxel_oracle
@@ -71,7 +72,12 @@ EXACT_S = 2.0
 #: Scenes of each size that are not counted.
 WARM_UP = 3
 
-NAMES = ("learned", "learned, openvino", "hybrid", "classical", "voxel6", "voxel26", "voxel6-greedy")
+#: Scenes that are planned in one pass, and the first seed of those that fill a batch up.
+BATCH, COMPANY = 16, 70_000_000
+
+OPENVINO, BATCHES = "learned, openvino", f"learned, batches of {BATCH}"
+
+NAMES = ("learned", OPENVINO, BATCHES, "hybrid", "classical", "voxel6", "voxel26", "voxel6-greedy")
 
 #: What ratios are taken to.
 VOXEL = ("voxel6", "voxel26", "voxel6-greedy")
@@ -116,14 +122,32 @@ class Clock:
         return process_time() - self._cpu_s, perf_counter() - self._wall_s
 
 
-def by_learning(student: Network, scene: Scene, seed: int) -> Outcome:
-    """The student without any search for paths, unless a way comes out blocked."""
+def by_learning(student: Network, scene: Scene, seed: int, company: Sequence[Scene] = ()) -> Outcome:
+    """The student without any search for paths, unless a way comes out blocked.
+
+    With company, other scenes that are planned in the same pass, seconds are one scene's share.
+    """
     clock = Clock()
-    travel = straight_travel(scene)
-    bundles, drawing, _ = drawn_plan(student, Request(scene, travel, None, seed))
-    if drawing is not None and not drawing.clear.all():
-        travel = compute_travel(scene, routes=bundles.routes)
-    return _mended(scene, bundles, drawing, travel, clock)
+    requests = [Request(one, straight_travel(one), None, seed) for one in (scene, *company)]
+    fleets = []
+    for request, (bundles, drawing, _) in zip(requests, drawn_plans(student, requests), strict=True):
+        travel = request.travel
+        if drawing is not None and not drawing.clear.all():
+            travel = compute_travel(request.scene, routes=bundles.routes)
+        fleets.append((_mended(request.scene, bundles, drawing, travel), bundles, travel, drawing))
+    shares = [seconds / len(requests) for seconds in clock.read()]
+    return _drawn_outcome(*fleets[0], *shares)
+
+
+def by_batches(student: Network, family: str, scene: Scene, seed: int) -> Outcome:
+    """`by_learning` of as many scenes at a time as `BATCH`, all of one size."""
+    return by_learning(student, scene, seed, _company(family, scene.num_drones, scene.num_tasks))
+
+
+@cache
+def _company(family: str, drones: int, tasks: int) -> list[Scene]:
+    """The scenes that fill a batch up."""
+    return [generate(family, drones=drones, tasks=tasks, seed=COMPANY + number) for number in range(BATCH - 1)]
 
 
 def by_both(student: Network, scene: Scene, seed: int) -> Outcome:
@@ -131,10 +155,11 @@ def by_both(student: Network, scene: Scene, seed: int) -> Outcome:
     clock = Clock()
     travel = compute_travel(scene)
     bundles, drawing, _ = searched_plan(student, Request(scene, travel, None, seed))
-    return _mended(scene, bundles, drawing, travel, clock)
+    ways = _mended(scene, bundles, drawing, travel)
+    return _drawn_outcome(ways, bundles, travel, drawing, *clock.read())
 
 
-def _mended(scene: Scene, bundles: Bundles, drawing: Drawing | None, travel: Travel, clock: Clock) -> Outcome:
+def _mended(scene: Scene, bundles: Bundles, drawing: Drawing | None, travel: Travel) -> list[FloatArray]:
     """The drawn ways, with shortest paths where they are blocked."""
     if drawing is None:
         raise RuntimeError(f"{scene.name} has more legs a drone than the student has samples")
@@ -142,8 +167,13 @@ def _mended(scene: Scene, bundles: Bundles, drawing: Drawing | None, travel: Tra
     for drone in np.flatnonzero(~drawing.clear):
         mended = waypoints_from_samples(scene, travel, int(drone), bundles.routes[drone], drawing.samples[drone])
         ways[drone] = mended.points
-    seconds = clock.read()
-    return Outcome(bundles, sum(map(_length, ways)), *seconds, travel, drawing.samples, bool(drawing.clear.all()))
+    return ways
+
+
+def _drawn_outcome(
+    ways: list[FloatArray], bundles: Bundles, travel: Travel, drawing: Drawing, ways_s: float, wall_s: float
+) -> Outcome:
+    return Outcome(bundles, sum(map(_length, ways)), ways_s, wall_s, travel, drawing.samples, bool(drawing.clear.all()))
 
 
 def classically(scene: Scene, seed: int) -> Outcome:
@@ -182,16 +212,17 @@ def _length(points: FloatArray) -> float:
 Pipeline: TypeAlias = Callable[[Scene, int], Outcome]
 
 
-def _pipelines() -> dict[str, Pipeline]:
+def _pipelines(family: str) -> dict[str, Pipeline]:
     """The pipelines by name; without OpenVINO's where that is not installed."""
     student = shipped_student()
     torch_student = network(student, "torch")
     pipelines: dict[str, Pipeline] = {"learned": partial(by_learning, torch_student)}
     try:
-        pipelines["learned, openvino"] = partial(by_learning, _compiled(student))
+        pipelines[OPENVINO] = partial(by_learning, _compiled(student))
     except MissingExtra as fault:
         print(f"benchmarks.scalability: {fault}", file=sys.stderr)
     return pipelines | {
+        BATCHES: partial(by_batches, torch_student, family),
         "hybrid": partial(by_both, torch_student),
         "classical": classically,
         "voxel6": partial(on_voxels, "voxel6"),
@@ -217,7 +248,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     options = _parser().parse_args(argv)
     torch.set_num_threads(options.threads)
-    pipelines = _pipelines()
+    pipelines = _pipelines(options.family)
     rows = Rows(options.out / "scalability.csv", COLUMNS)
     for tasks in options.tasks:
         for number in range(-WARM_UP, options.scenes):
