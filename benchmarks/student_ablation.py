@@ -18,6 +18,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from time import perf_counter
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -32,16 +33,19 @@ from learned.student.checkpoint import load_student
 from learned.student.examples import Example, example
 from learned.student.inference import draw, task_probabilities
 from learned.student.model import Student
-from learned.student.planner import WEIGHTS
+from learned.student.planner import STEPS, TRIES, WEIGHTS
 
 __all__ = ["main"]
 
 #: Added to the seeds, so that no scene is one of the demonstrations, whose seeds start at 0.
 UNSEEN = 50_000_000
 
-#: DDIM steps and tries of the first student, and of the others; 0 steps are the straight lines.
-VARIANTS = ((0, 1), (1, 1), (2, 1), (5, 1), (2, 4), (2, 16), (2, 64))
+#: DDIM steps and tries of the first student, and of the others; 0 steps are the straight lines, a pair those of the first
+#: try and of the others, as the planners draw.
+VARIANTS = ((0, 1), (1, 1), (2, 1), (5, 1), (STEPS, TRIES), (2, 4), (2, 16), (2, 64))
 OTHER_VARIANTS = ((2, 1), (2, 4))
+
+Steps: TypeAlias = int | tuple[int, int]
 
 #: Iterations of the refinement, and milliseconds that it may take together with what it starts from.
 ITERATIONS, BUDGETS_MS = (0, 20, 100, 1000), (5, 20)
@@ -112,10 +116,14 @@ def _trajectory_rows(students: dict[str, Student], base: Example, travel: Travel
     shortest = np.array([travel.route_length(drone, route) for drone, route in enumerate(base.routes)])
     for index, (name, student) in enumerate(students.items()):
         for steps, tries in OTHER_VARIANTS if index else VARIANTS:
-            yield {"student": name, "steps": steps, "tries": tries, **_drawn(student, base, shortest, steps, tries)}
+            yield {"student": name, "steps": _words(steps), "tries": tries, **_drawn(student, base, shortest, steps, tries)}
 
 
-def _drawn(student: Student, base: Example, shortest: FloatArray, steps: int, tries: int) -> dict[str, object]:
+def _words(steps: Steps) -> str:
+    return "no" if steps == 0 else str(steps) if isinstance(steps, int) else f"{steps[0]}, then {steps[1]}"
+
+
+def _drawn(student: Student, base: Example, shortest: FloatArray, steps: Steps, tries: int) -> dict[str, object]:
     """What of a fleet is clear as drawn; ``shortest`` (N,) m."""
     blocked, active = base.blocked.any(axis=1), base.active
     began = perf_counter()
@@ -167,7 +175,7 @@ def _summary(trajectories: list[dict[str, object]], allocation: list[dict[str, o
     ):
         key = (kind, student, steps, tries)
         rows = [row for row in trajectories if (row["kind"], row["student"], row["steps"], row["tries"]) == key]
-        name = "straight lines" if not steps else f"{student}, {steps} steps, best of {tries}"
+        name = "straight lines" if steps == "no" else f"{student}, {steps} steps, best of {tries}"
         shares = [100.0 * _total(rows, part) / max(_total(rows, whole), 1.0) for part, whole in (
             ("drones_clear", "drones"), ("blocked_clear", "blocked"))]  # fmt: skip
         detours = [float(row["detour"]) for row in rows if np.isfinite(row["detour"])]  # type: ignore[arg-type]

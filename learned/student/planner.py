@@ -48,8 +48,8 @@ PAPER_WEIGHTS = WEIGHTS.with_name("student-paper.safetensors")
 #: Iterations of the search that refines the head's probabilities: enough to mend what capacities break.
 REFINING_ITERATIONS = 100
 
-#: DDIM steps, and how many tries of each leg there are to choose from.
-STEPS, TRIES = 2, 4
+#: DDIM steps of the first try and of the others, which are made only where that is not clear; and how many tries there are.
+STEPS, TRIES = (1, 2), 4
 
 #: Shares of a time limit for the search that the head guides, and for the one that begins from nothing; the networks have
 #: the rest.
