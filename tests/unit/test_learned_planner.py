@@ -132,7 +132,7 @@ def test_what_the_grid_does_not_reach_is_reached_any_angle():
 
 def test_paths_a_planner_does_not_know_are_refused(scene, allocators):
     with pytest.raises(SettingsError, match="paths is 'voxel6'; must be one of any-angle for planner 'classical'"):
-        plan(scene, paths="voxel6")
+        plan(scene, planner="classical", paths="voxel6")
     with pytest.raises(SettingsError, match="paths is 'tunnel'; must be one of any-angle, voxel26, voxel6"):
         plan(scene, planner="teacher", paths="tunnel")
     with pytest.raises(SettingsError, match="paths is 'tunnel'"):
@@ -141,7 +141,7 @@ def test_paths_a_planner_does_not_know_are_refused(scene, allocators):
 
 def test_paths_are_an_option_of_the_command_line(root, flockopt, allocators, tmp_path):
     example = root / "examples/scenes/two-drones.json"
-    status, _, error = flockopt("plan", example, "-o", tmp_path / "p.json", "--paths", "tunnel")
+    status, _, error = flockopt("plan", example, "-o", tmp_path / "p.json", "--planner", "classical", "--paths", "tunnel")
     assert (status, error.count("\n"), (tmp_path / "p.json").exists()) == (2, 1, False)
     assert "paths is 'tunnel'; must be one of any-angle for planner 'classical'" in error
     lengths = []

@@ -236,7 +236,7 @@ def test_an_answer_in_an_obstacle_is_refused(simple, monkeypatch):
 
 def test_plans_with_smoothing_are_certified_and_no_slower():
     scene = generate("rooms", drones=4, tasks=8, seed=1)
-    plain, smoothed = plan(scene), plan(scene, smoothing=True)
+    plain, smoothed = (plan(scene, planner="classical", smoothing=smoothing) for smoothing in (False, True))
     assert smoothed.status == "certified"
     assert "smooth" in smoothed.timing
     assert "smooth" not in plain.timing

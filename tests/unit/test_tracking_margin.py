@@ -33,7 +33,7 @@ def margin_of(made, clause):
 @pytest.mark.parametrize("obstacle", [PILLAR, WALL, ROCK], ids=lambda one: one.shape)
 def test_plans_keep_the_margin_where_there_is_room(obstacle):
     scene = make_scene([drone(0, (1, 5, 1.2))], [(9, 5, 1.2)], (obstacle,))
-    bare, kept = plan(scene), plan(scene, tracking_margin_m=MARGIN_M)
+    bare, kept = (plan(scene, planner="classical", tracking_margin_m=margin_m) for margin_m in (0.0, MARGIN_M))
     assert bare.status == kept.status == "certified"
     assert kept.scene_sha256 == scene.sha256
     assert margin_of(bare, "clearance") < MARGIN_M
@@ -46,7 +46,7 @@ def test_drones_that_meet_keep_twice_the_margin():
     scene = make_scene([drone(0, (1, 5, 1)), drone(1, (5, 1, 1))], [(9, 5, 1), (5, 9, 1)])
     bundles = Bundles(((0,), (1,)))
     assert widened(scene, bundles).separation == pytest.approx(0.46)
-    bare, kept = plan(scene), plan(scene, tracking_margin_m=MARGIN_M)
+    bare, kept = (plan(scene, planner="classical", tracking_margin_m=margin_m) for margin_m in (0.0, MARGIN_M))
     assert kept.status == "certified"
     assert margin_of(kept, "separation") >= min(2 * MARGIN_M, margin_of(bare, "separation"))
 
@@ -167,7 +167,10 @@ def test_flown_positions_keep_what_the_scene_asks():
     from sim.execute import execute
 
     scene = generate("rooms", drones=10, tasks=20, seed=6)
-    bare, kept = (execute(scene, plan(scene, seed=6, bound="fast", tracking_margin_m=margin)) for margin in (0.0, MARGIN_M))
+    bare, kept = (
+        execute(scene, plan(scene, planner="classical", seed=6, bound="fast", tracking_margin_m=margin_m))
+        for margin_m in (0.0, MARGIN_M)
+    )
     assert bare.outcome.min_clearance < scene.clearance + 0.01
     assert kept.outcome.min_clearance > scene.clearance + 0.5 * MARGIN_M
     assert kept.outcome.min_separation > scene.separation
