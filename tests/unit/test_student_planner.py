@@ -13,6 +13,7 @@ torch = pytest.importorskip("torch")
 
 from flockopt import Bundles, MissingExtra, SettingsError, generate, plan  # noqa: E402 - torch may be missing
 from flockopt.plan import PLANNERS, Proposal, Request  # noqa: E402
+from flockopt.trajectory.stages import squared_jerk  # noqa: E402
 from flockopt.trajectory.waypoints import anchored_legs, leg_clear, thinned  # noqa: E402
 from flockopt.travel import straight_travel  # noqa: E402
 from learned.student import planner  # noqa: E402
@@ -53,6 +54,19 @@ def test_plans_are_certified_and_the_same_each_time(name, family):
 def test_hybrid_is_never_worse_than_classical(seed):
     scene = generate("city", drones=4, tasks=10, seed=seed)
     assert plan(scene, planner="hybrid").cost.travel <= plan(scene).cost.travel + 1e-9
+
+
+@pytest.mark.parametrize("family", ["forest", "rooms"])
+def test_the_hybrid_smooths_its_fleet(family):
+    scene = generate(family, drones=4, tasks=10, seed=3)
+    plain, smooth = plan(scene, planner="classical"), plan(scene, planner="hybrid")
+    jerk = [
+        sum(squared_jerk(flight.curve.breakpoints, flight.curve.coefficients) for flight in one.flights.values())
+        for one in (plain, smooth)
+    ]
+    assert smooth.status == "certified" and "smooth" in smooth.timing
+    assert smooth.cost.makespan <= plain.cost.makespan + 1e-9
+    assert jerk[1] < 0.8 * jerk[0]
 
 
 @pytest.mark.parametrize("config", ["small", "paper"])
