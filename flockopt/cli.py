@@ -92,33 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", dest="command", required=True, metavar="COMMAND")
 
-    plan = _command(commands, "plan", "plan a scene: routes, trajectories, certificate", PLAN_EXAMPLES, cli_commands.plan)
-    plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
-    plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
-    plan.add_argument(
-        "--planner",
-        metavar="NAME",
-        help="which planner (default: hybrid where its weights and torch are there, else classical)",
-    )
-    plan.add_argument(
-        "--paths", default="any-angle", metavar="KIND",
-        help="what drones fly along: any-angle, the shortest (default); some planners also know voxel26 and voxel6",
-    )  # fmt: skip
-    plan.add_argument("--time-limit", type=_seconds, metavar="S", help="seconds the whole plan may take (default: no limit)")
-    plan.add_argument("--seed", type=_whole(0), default=0, metavar="N", help="same seed, same plan (default: 0)")
-    plan.add_argument(
-        "--bound", default="tight", metavar="KIND", choices=("fast", "tight", "exact"),
-        help="how hard to work for the lower bound: fast, tight or exact (default: tight)",
-    )  # fmt: skip
-    plan.add_argument("--smooth", action="store_true", help="smooth the flights: done earlier, with less jerk (needs casadi)")
-    plan.add_argument(
-        "--tracking-margin", type=_metres, default=0.0, metavar="M",
-        help="how far drones may stray in flight, metres: keep that much more clearance and twice that much more separation "
-        "where there is room (default: 0)",
-    )  # fmt: skip
-    plan.add_argument("--show", action="append", default=[], metavar="FILE", help="draw it too: .png or .html; repeatable")
-    plan.add_argument("--quiet", action="store_true", help="print no table and no progress")
-
+    _add_plan(commands)
     verify = _command(commands, "verify", "check a plan anew, clause by clause", VERIFY_EXAMPLES, cli_commands.verify)
     verify.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
     verify.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file")
@@ -148,6 +122,36 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--scene", metavar="SCENE", help="the plan's scene; qgroundcontrol needs it, with its origin")
     export.add_argument("-o", "--output", required=True, metavar="DIR", help="a new or empty directory, or an earlier export")
     return parser
+
+
+def _add_plan(commands: argparse._SubParsersAction) -> None:
+    """The command ``plan`` and its options."""
+    from flockopt import cli_commands
+
+    plan = _command(commands, "plan", "plan a scene: routes, trajectories, certificate", PLAN_EXAMPLES, cli_commands.plan)
+    plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
+    plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
+    plan.add_argument(
+        "--planner", metavar="NAME", help="which planner (default: hybrid where its weights and torch are, else classical)"
+    )
+    plan.add_argument(
+        "--paths", default="any-angle", metavar="KIND",
+        help="what drones fly along: any-angle, the shortest (default); some planners also know voxel26 and voxel6",
+    )  # fmt: skip
+    plan.add_argument("--time-limit", type=_seconds, metavar="S", help="seconds the whole plan may take (default: no limit)")
+    plan.add_argument("--seed", type=_whole(0), default=0, metavar="N", help="same seed, same plan (default: 0)")
+    plan.add_argument(
+        "--bound", default="tight", metavar="KIND", choices=("fast", "tight", "exact"),
+        help="how hard to work for the lower bound: fast, tight or exact (default: tight)",
+    )  # fmt: skip
+    plan.add_argument("--smooth", action="store_true", help="smooth the flights: done earlier, with less jerk (needs casadi)")
+    plan.add_argument(
+        "--tracking-margin", type=_metres, default=0.0, metavar="M",
+        help="how far drones may stray in flight, metres: keep that much more clearance and twice that much more separation "
+        "where there is room (default: 0)",
+    )  # fmt: skip
+    plan.add_argument("--show", action="append", default=[], metavar="FILE", help="draw it too: .png or .html; repeatable")
+    plan.add_argument("--quiet", action="store_true", help="print no table and no progress")
 
 
 def _command(

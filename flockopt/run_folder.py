@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -37,12 +38,11 @@ class RunFolder:
         except OSError as fault:
             value = f"{folder} cannot be used ({fault.strerror})"
             raise SettingsError("out", value, "must be a folder to write to", "choose another") from None
-        try:
+        with ExitStack() as unless_agreed:
+            unless_agreed.callback(self.close)
             self._claim()
             self._agree(json.loads(json.dumps(terms)), content)
-        except BaseException:
-            os.close(self._lock)
-            raise
+            unless_agreed.pop_all()
 
     def __enter__(self) -> Self:
         return self

@@ -7,6 +7,7 @@ import io
 import json
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -36,12 +37,11 @@ class Journal:
         self.folder = folder
         self.results: dict[str, Result] = {}
         self._run = RunFolder(folder, terms, "flights")
-        try:
+        with ExitStack() as unless_opened:
+            unless_opened.callback(self._run.close)
             self._read()
             self._file = os.open(self.folder / ROWS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        except BaseException:
-            self._run.close()
-            raise
+            unless_opened.pop_all()
 
     def __enter__(self) -> Self:
         return self

@@ -7,6 +7,7 @@ is one definition of the network whoever computes it.
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
 from typing import Any
 
 import torch
@@ -52,7 +53,7 @@ class Sampler(nn.Module):
         return self.student.sample(Rows(*tensors[:-1]), tensors[-1], self.steps)
 
 
-class GraphStudent:
+class GraphStudent(ABC):
     """Stands in for a `Student` in `learned.student.inference`.
 
     Args:
@@ -89,13 +90,13 @@ class GraphStudent:
         """As `Student.draw`, by the student itself."""
         return self.student.draw(batch, scene, drone, noise, steps)
 
+    @abstractmethod
     def run_head(self, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
         """What `Head` gives."""
-        raise NotImplementedError
 
+    @abstractmethod
     def run_sampler(self, steps: int, inputs: tuple[Tensor, ...]) -> Tensor:
         """What `Sampler` gives."""
-        raise NotImplementedError
 
 
 class TracedStudent(GraphStudent):

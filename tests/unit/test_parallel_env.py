@@ -18,8 +18,20 @@ from learned.problems import Problems, random_problems
 from learned.teacher.parallel_env import AllocationEnv
 
 
-def test_pettingzoo_is_content():
-    parallel_api_test(AllocationEnv(3, 5), num_cycles=60)
+class Reluctant(AllocationEnv):
+    """An environment in which drones that are done stay."""
+
+    def step(self, actions):
+        before = list(self.agents)
+        result = super().step(actions)
+        self.agents = before
+        return result
+
+
+def test_pettingzoo_is_content_with_ours_and_not_with_a_faulty_one():
+    parallel_api_test(AllocationEnv(3, 5), num_cycles=60)  # raises what it finds
+    with pytest.raises(AssertionError):
+        parallel_api_test(Reluctant(3, 5), num_cycles=60)
 
 
 def test_rewards_add_up_to_the_travel_of_a_scene():
