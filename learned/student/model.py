@@ -72,8 +72,7 @@ class Student(nn.Module):
         points elsewhere (`learned.student.rows.points_of`).
         """
         num_levels = self.settings.num_noise_levels
-        if self.settings.objective == "regression":
-            noise, steps = torch.zeros_like(noise), 1
+        noise, steps = self._begun(noise, steps)
         legs, drones = self.bundle_encoder.legs(rows.goals, rows.is_task, rows.drones, rows.num_legs)
         told = self.denoiser.patches_of(rows.features, rows.shares @ legs)  # (R, P, D)
         levels = noise_levels(steps, num_levels)[:-1]
@@ -83,6 +82,10 @@ class Student(nn.Module):
             return self.denoiser.alone(noisy, told, next(modulations))
 
         return ddim(denoise, noise, steps, num_levels) * self.spread
+
+    def _begun(self, noise: Tensor, steps: int) -> tuple[Tensor, int]:
+        """What DDIM begins with, and its steps: regression answers at once, whatever the noise."""
+        return (torch.zeros_like(noise), 1) if self.settings.objective == "regression" else (noise, steps)
 
     def condition(
         self, batch: FleetBatch, rows: tuple[Tensor, Tensor] | None = None, tokens: SceneTokens | None = None
@@ -129,8 +132,7 @@ class Student(nn.Module):
         """
         tries = noise.shape[0]
         apart = not self.settings.fleet_attention
-        if self.settings.objective == "regression":
-            noise, steps = torch.zeros_like(noise), 1
+        noise, steps = self._begun(noise, steps)
         ways, conditions = self.condition(batch, (scene, drone) if apart else None)
         ways, conditions = _repeated(ways, tries), _repeated(conditions, tries)
         if apart:

@@ -8,8 +8,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from benchmarks import scalability, student_ablation  # noqa: E402 - torch may be missing
-from flockopt import MissingExtra  # noqa: E402 - torch may be missing
+from benchmarks import pipeline, scalability, student_ablation  # noqa: E402 - torch may be missing
+from flockopt import MissingExtra, Scene  # noqa: E402 - torch may be missing
 from learned.student.checkpoint import save_student  # noqa: E402
 from tests.student_scenes import tiny_student  # noqa: E402
 
@@ -47,3 +47,21 @@ def test_scalability_certifies_what_it_times(tmp_path, monkeypatch):
     assert [row["pipeline"] for row in rows] == [name for name in scalability.NAMES if name != scalability.OPENVINO] * 2
     assert all(row["certified"] == "True" for row in rows if not row["pipeline"].startswith("voxel"))
     assert (tmp_path / "scalability.png").stat().st_size > 0
+
+
+def test_the_pipelines_find_scenes_in_which_the_hybrid_is_worse():
+    def row(name, scene, travel, coverage=1.0):
+        return {"pipeline": name, "scene": scene, "travel": travel, "coverage": coverage}
+
+    rows = [row("classical", scene, 10.0) for scene in "abc"]
+    rows += [row("hybrid", "a", 10.0), row("hybrid", "b", 10.1), row("hybrid", "c", 8.0, coverage=0.9)]
+    assert pipeline._worse(rows, "") == ["b", "c"] and pipeline._worse(rows, ", limited") == []
+
+
+def test_a_pipeline_is_measured_and_flown(two_drones):
+    scene = Scene.from_dict(two_drones)
+    measured = pipeline._measured(scene, pipeline.PIPELINES["classical"], 0, None)
+    assert measured["certified"] and measured["coverage"] == measured["completion"] == 1.0
+    assert measured["contacts"] == 0.0 < measured["room"] and measured["route_cost"] == pytest.approx(measured["travel"])
+    cells = [pipeline._cell(*of) for of in (("room", [3.0, 1.0]), ("contacts", [2.0, 1.0]), ("coverage", [1.0, float("nan")]))]
+    assert cells == [1.0, 3.0, 100.0]

@@ -56,6 +56,15 @@ def test_hybrid_is_never_worse_than_classical(seed):
     assert plan(scene, planner="hybrid").cost.travel <= plan(scene).cost.travel + 1e-9
 
 
+def test_the_hybrid_keeps_to_a_time_limit(forest, monkeypatch):
+    limits, search = [], planner.refine_bundles
+    monkeypatch.setattr(planner, "refine_bundles", lambda *a, **k: limits.append(k["time_limit_s"]) or search(*a, **k))
+    result = plan(forest, planner="hybrid", time_limit_s=0.4)
+    assert result.status == "certified" and result.timing["total"] < 4.0  # what a slow machine may add
+    assert result.cost.travel <= plan(forest, planner="classical").cost.travel + 1e-9
+    assert len(limits) == 2 and min(limits) > 0.0 and limits[0] > 4.0 * limits[1] and sum(limits) < 0.4
+
+
 @pytest.mark.parametrize("family", ["forest", "rooms"])
 def test_the_hybrid_smooths_its_fleet(family):
     scene = generate(family, drones=4, tasks=10, seed=3)
@@ -132,6 +141,18 @@ def test_plans_of_a_batch_are_those_of_its_scenes(forest):
         if drawing is not None:
             assert np.allclose(drawing.samples, alone.samples, atol=1e-4) and np.array_equal(drawing.clear, alone.clear)
     assert planner.drawn_plans(student, []) == []
+
+
+def test_each_scene_is_drawn_by_its_own_seed(planners, monkeypatch):
+    one = taught_example("forest", drones=6, tasks=12, seed=1)
+    together = draw(planners, [one, one], tries=1, seed=[0, 5])
+    alone = [draw(planners, [one], tries=1, seed=seed)[0] for seed in (0, 5)]
+    assert not np.array_equal(together[0].samples, together[1].samples)
+    assert all(np.allclose(a.samples, b.samples, atol=1e-4) for a, b in zip(together, alone, strict=True))
+    seen = []
+    monkeypatch.setattr("learned.student.inference.draw", lambda *a, **k: seen.append(k["seed"]) or draw(*a, **k))
+    planner.drawn_plans(planners, [Request(one.scene, straight_travel(one.scene), None, seed) for seed in (3, 8)])
+    assert seen == [[3, 8]]
 
 
 def test_later_tries_may_take_other_steps_than_the_first(planners):

@@ -21,6 +21,7 @@ from learned.student.batch import collate  # noqa: E402
 from learned.student.checkpoint import STORAGES, load_student, save_student  # noqa: E402
 from learned.student.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
 from learned.student.examples import example, with_ways  # noqa: E402
+from learned.student.inference import draw  # noqa: E402
 from learned.student.loss import (  # noqa: E402
     StudentLoss,
     allocation_loss,
@@ -28,6 +29,7 @@ from learned.student.loss import (  # noqa: E402
     detour_weights,
     diffusion_loss,
 )
+from learned.student.schedule import LAST_RATE, rate_at  # noqa: E402
 from learned.student.settings import CONFIGS  # noqa: E402
 from learned.student.train import Trainer  # noqa: E402
 from learned.student.training_settings import TrainingSettings  # noqa: E402
@@ -136,6 +138,15 @@ def test_regression_is_trained_and_asked_without_noise(tiny):
     noise = torch.randn(2, len(scene), 64, 3)
     first, second = student.draw(batch, scene, drone, noise, steps=5)
     assert len(scene) and torch.equal(first, second)
+    one = taught_example("forest", drones=3, tasks=9, seed=1)
+    by_rows = [draw(student, [one], steps=5, tries=1, seed=seed)[0].samples for seed in (0, 1)]
+    assert student.draws_rows and np.array_equal(*by_rows)
+
+
+def test_the_learning_rate_rises_and_then_falls():
+    rates = [rate_at(step, steps=100, warmup_steps=10) for step in range(101)]
+    assert rates[0] == 0.1 and rates[9] == max(rates) == 1.0
+    assert rates[10:] == sorted(rates[10:], reverse=True) and rates[100] == pytest.approx(LAST_RATE)
 
 
 def test_fine_tuning_goes_on_from_what_the_student_draws_itself():
