@@ -13,47 +13,45 @@ TensorBoard. Exit status 0, or 2 on bad input.
 from __future__ import annotations
 
 import argparse
-import hashlib
-import math
 import os
 import sys
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, distributed, nn
-from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.nn.attention import SDPBackend
 
-from flockopt import FlockError, SettingsError
-from flockopt.progress_bar import ProgressBar
+from flockopt import FlockError
 from flockopt.run_folder import RunFolder
 from learned.student.batch import FleetBatch, collate
-from learned.student.checkpoint import STORAGES, load_student, restore, save_checkpoint, save_student
+from learned.student.checkpoint import STORAGES, load_student, save_student
 from learned.student.dataset import example_of
 from learned.student.examples import Example
 from learned.student.inference import draw
+from learned.student.learner import Learner, Run, add_run_options, held_out, settings_of
 from learned.student.loss import StudentLoss
 from learned.student.model import Student
-from learned.student.schedule import is_bfloat16, rate_at
 from learned.student.settings import CONFIGS
-from learned.student.training_settings import PRECISIONS, TrainingSettings
+from learned.student.training_settings import TrainingSettings
 
 __all__ = ["Trainer", "main"]
 
-#: Of the examples, this share, but not more than so many, is held out to measure on.
-HELD_OUT_SHARE, MOST_HELD_OUT = 0.05, 64
+#: Scenes that are held out at the most, to measure on.
+MOST_HELD_OUT = 64
 
-#: Steps between measurements with a checkpoint, and between lines in the log.
-CHECKPOINT_STEPS, LOG_STEPS = 250, 25
+#: Where whole fleets attend to each other, the fused kernels are the faster ones.
+LONG_SEQUENCES = [SDPBackend.FLASH_ATTENTION, SDPBackend.EFFICIENT_ATTENTION, SDPBackend.MATH]
 
 #: Counts in batches are rounded up to multiples of this.
 COUNT_STEP = 4
 
 
-class Trainer:
-    """The state of a run, and one step of it.
+class Trainer(Learner[Student]):
+    """The state of a student's training, and one step of it.
 
     Args:
         settings: Of the run.
@@ -64,60 +62,23 @@ class Trainer:
 
     def __init__(self, settings: TrainingSettings, examples: Sequence[Example], rank: int = 0, world: int = 1) -> None:
         self.settings, self.examples, self.rank, self.world = settings, examples, rank, world
-        self.device = (
-            torch.device("cuda", rank % torch.cuda.device_count()) if torch.cuda.is_available() else torch.device("cpu")
-        )
         torch.manual_seed(settings.seed)
-        self.student = Student(CONFIGS[settings.config])
-        self.student.spread.copy_(_spread(self.student, examples))
-        self.student.to(self.device)
-        self.average = {name: value.detach().clone() for name, value in self.student.state_dict().items()}
-        self.optimiser = torch.optim.AdamW(
-            self.student.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.99)
+        student = Student(CONFIGS[settings.config])
+        student.spread.copy_(_spread(student, examples))
+        cuda = torch.cuda.is_available()
+        super().__init__(
+            student, settings, torch.device("cuda", rank % torch.cuda.device_count()) if cuda else torch.device("cpu")
         )
-        loss = StudentLoss(self.student)
+        if student.settings.fleet_attention:
+            self.attention = LONG_SEQUENCES
+        loss = StudentLoss(student)
         # without fleet attention nothing reads the obstacle tokens
         self.loss: nn.Module = nn.parallel.DistributedDataParallel(loss, find_unused_parameters=True) if world > 1 else loss
-        self.step = 0
 
-    def begin_with(self, path: Path | None) -> str | None:
-        """Take the weights of a student's file, if one is given; the file's digest."""
-        if path is None:
-            return None
-        student = load_student(path)
-        if student.settings != self.student.settings:
-            value = f"holds weights for other settings ({path})"
-            raise SettingsError("begin_with", value, f"must be for {self.settings.config!r}", "choose the config they are for")
-        for name, value in student.state_dict().items():
-            self.student.state_dict()[name].copy_(value)
-            self.average[name].copy_(value)
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-
-    def advance(self) -> dict[str, float]:
-        """One step of the optimiser; the loss's terms."""
-        settings = self.settings
-        generator = torch.Generator().manual_seed((settings.seed * 1_000_003 + self.step) * 1009 + self.rank)
+    def _losses(self) -> tuple[Tensor, dict[str, Tensor]]:
+        generator = torch.Generator().manual_seed((self.settings.seed * 1_000_003 + self.step) * 1009 + self.rank)
         batch = self._batch().mirrored(generator).to(self.device)
-        for group in self.optimiser.param_groups:
-            group["lr"] = settings.learning_rate * rate_at(self.step, settings.steps, settings.warmup_steps)
-        kind = torch.bfloat16 if is_bfloat16(settings.precision, self.device) else torch.float32
-        with sdpa_kernel(self._attention):
-            with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=kind is torch.bfloat16):
-                total, terms = self.loss(batch, settings.loss_weights(self.step), generator)
-            self.optimiser.zero_grad()
-            total.backward()
-        nn.utils.clip_grad_norm_(self.student.parameters(), settings.clip)
-        self.optimiser.step()
-        self.step += 1
-        self._average()
-        return {name: float(value) for name, value in {"total": total.detach(), **terms}.items()}
-
-    @property
-    def _attention(self) -> list[SDPBackend]:
-        """What computes attention: fused kernels, but for a drone's few tokens, where their backward pass takes far longer."""
-        if self.student.settings.fleet_attention:
-            return [SDPBackend.FLASH_ATTENTION, SDPBackend.EFFICIENT_ATTENTION, SDPBackend.MATH]
-        return [SDPBackend.MATH]
+        return self.loss(batch, self.settings.loss_weights(self.step), generator)
 
     def _batch(self) -> FleetBatch:
         """This process's part of the step's scenes: every epoch is a new order of all examples."""
@@ -127,17 +88,12 @@ class Trainer:
         chosen = [int(order(epoch)[index]) for epoch, index in zip(epochs.tolist(), indices.tolist(), strict=True)]
         return collate([self.examples[index] for index in chosen[self.rank :: self.world]], COUNT_STEP)
 
-    @torch.no_grad()
-    def _average(self) -> None:
-        decay = min(self.settings.ema_decay, (1 + self.step) / (10 + self.step))
-        for name, value in self.student.state_dict().items():
-            self.average[name].lerp_(value.to(self.average[name].dtype), 1.0 - decay)
 
-    def averaged(self) -> Student:
-        """A student with the averaged weights, on the CPU."""
-        student = Student(self.student.settings)
-        student.load_state_dict({name: value.cpu() for name, value in self.average.items()})
-        return student.eval()
+def _device(rank: int) -> torch.device:
+    """Each process has a GPU where there are some."""
+    if not torch.cuda.is_available():
+        return torch.device("cpu")
+    return torch.device("cuda", rank % torch.cuda.device_count())
 
 
 def measure(student: Student, examples: Sequence[Example]) -> dict[str, float]:
@@ -181,48 +137,23 @@ def run(
 ) -> None:
     """Train to the end, or ``until`` a step, going on from a checkpoint if there is one.
 
-    A run that begins with a student's weights fine-tunes them.
+    A run that begins with a student's weights fine-tunes them. Of several processes the first one writes.
     """
-    from torch.utils.tensorboard import SummaryWriter
-
     from learned.shards import load_demonstrations
 
     demonstrations = [demonstration for folder in data for demonstration in load_demonstrations(folder)]
     num_samples = CONFIGS[settings.config].num_samples
     examples = [example_of(demonstration, num_samples) for demonstration in demonstrations]
-    num_held_out = min(MOST_HELD_OUT, math.ceil(HELD_OUT_SHARE * len(examples)))
-    order = np.random.default_rng(settings.seed).permutation(len(examples))
-    held_out = [examples[index] for index in order[:num_held_out]]
-    trainer = Trainer(settings, [examples[index] for index in order[num_held_out:]] or held_out, rank, world)
-    terms = {"settings": settings.to_dict(), "examples": len(examples), "begin_with": trainer.begin_with(begin_with)}
-    last = settings.steps if until is None else min(until, settings.steps)
-    checkpoint = out / "checkpoint.safetensors"
-    if checkpoint.exists():
-        trainer.step = restore(checkpoint, trainer.student, trainer.average, trainer.optimiser, terms)
-    writer = SummaryWriter(str(out / "log"), purge_step=trainer.step) if rank == 0 else None
-    bar = ProgressBar(settings.steps, trainer.step) if rank == 0 else None
-    while trainer.step < last:
-        values = trainer.advance()
-        if writer is None or bar is None:
-            continue
-        bar.advance(f"loss {values['total']:.3f}")
-        if trainer.step % LOG_STEPS == 0:
-            for name, value in values.items():
-                writer.add_scalar(f"loss/{name}", value, trainer.step)
-        if trainer.step % CHECKPOINT_STEPS == 0 or trainer.step == last:
-            measured = measure(trainer.averaged(), held_out)
-            for name, value in measured.items():
-                writer.add_scalar(f"held_out/{name}", value, trainer.step)
-            bar.note(f"step {trainer.step}: " + ", ".join(f"{name} {value:.3f}" for name, value in measured.items()))
-            save_checkpoint(
-                checkpoint, trainer.student, trainer.average, trainer.optimiser, {"training": terms, "step": trainer.step}
-            )
-            notes = {**terms, "step": trainer.step, "held_out": measured}
-            weights = trainer.averaged().state_dict()
-            save_student(out / "student.safetensors", weights, trainer.student.settings, notes, storage)
-    if writer is not None and bar is not None:
-        writer.close()
-        bar.close()
+    taught, kept = held_out(examples, settings.seed, MOST_HELD_OUT)
+    trainer = Trainer(settings, taught, rank, world)
+    begun = trainer.begin_with(begin_with, load_student)
+    terms = {"settings": settings.to_dict(), "examples": len(examples), "begin_with": begun}
+
+    def save(student: Student, notes: dict[str, Any]) -> None:
+        save_student(out / "student.safetensors", student.state_dict(), student.settings, notes, storage)
+
+    whole = Run(trainer, out, terms, partial(measure, examples=kept), save)
+    whole.until(settings.steps if until is None else min(until, settings.steps), is_silent=rank > 0)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -231,8 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     torch.set_num_threads(options.threads)
     try:
-        names = [name for name in TrainingSettings.__dataclass_fields__ if getattr(options, name, None) is not None]
-        settings = TrainingSettings(**{name: getattr(options, name) for name in names})
+        settings = settings_of(options, TrainingSettings, list(TrainingSettings.__dataclass_fields__))
         if world > 1:
             distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
         if rank == 0:
@@ -253,17 +183,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m learned.student.train", description=(__doc__ or "").split("\n")[0])
     defaults = TrainingSettings()
     parser.add_argument("--config", choices=CONFIGS, help=f"(default {defaults.config})")
-    parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders with demonstrations")
-    parser.add_argument("--out", type=Path, required=True, help="folder for weights, checkpoint and log")
-    parser.add_argument("--begin-with", type=Path, metavar="WEIGHTS", help="fine-tune a student's weights")
-    parser.add_argument("--until", type=int, metavar="STEP", help="stop there, before the schedule's end")
-    parser.add_argument("--precision", choices=PRECISIONS, help=f"(default {defaults.precision})")
     parser.add_argument("--store-as", choices=STORAGES, default=STORAGES[0], help=f"of the weights (default {STORAGES[0]})")
-    parser.add_argument("--threads", type=int, default=1, help="of torch, for each process (default 1)")
-    for name in ("steps", "scenes_per_step", "warmup_steps", "seed"):
-        parser.add_argument(f"--{name.replace('_', '-')}", type=int, help=f"(default {getattr(defaults, name)})")
-    for name in ("learning_rate", "ema_decay", "clearance_weight", "clearance_from", "allocation_weight"):
-        parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=f"(default {getattr(defaults, name):g})")
+    whole = ("steps", "scenes_per_step", "warmup_steps", "seed")
+    shares = ("learning_rate", "ema_decay", "clearance_weight", "clearance_from", "allocation_weight")
+    add_run_options(parser, defaults, whole, shares)
     return parser
 
 

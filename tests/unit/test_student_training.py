@@ -15,8 +15,8 @@ from flockopt import SettingsError  # noqa: E402 - torch may be missing
 from flockopt.trajectory.waypoints import leg_clear  # noqa: E402
 from learned.demonstration_scenes import SceneMix  # noqa: E402
 from learned.demonstrations import DemonstrationSettings, write_demonstrations  # noqa: E402
+from learned.student import learner, train  # noqa: E402
 from learned.student import loss as loss_module  # noqa: E402
-from learned.student import train  # noqa: E402
 from learned.student.batch import collate  # noqa: E402
 from learned.student.checkpoint import STORAGES, load_student, save_student  # noqa: E402
 from learned.student.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
@@ -223,7 +223,7 @@ def run(demonstrations, out, *options):
 
 
 def test_a_run_that_is_stopped_ends_with_the_same_weights(demonstrations, tmp_path, tiny, monkeypatch):
-    monkeypatch.setattr(train, "CHECKPOINT_STEPS", 3)
+    monkeypatch.setattr(learner, "CHECKPOINT_STEPS", 3)
     settings = ("--steps", "6", "--clearance-from", "0.5")
     assert run(demonstrations, tmp_path / "whole", *settings) == 0
     advance = Trainer.advance
