@@ -13,7 +13,17 @@ from learned.student.model import Student
 from learned.student.settings import StudentSettings
 from learned.weight_files import load_weights, save_weights, to_bytes, to_floats
 
-__all__ = ["CHECKPOINT_KIND", "KIND", "STORAGES", "load_student", "restore", "save_checkpoint", "save_student"]
+__all__ = [
+    "CHECKPOINT_KIND",
+    "KIND",
+    "STORAGES",
+    "fill",
+    "in_bfloat16",
+    "load_student",
+    "restore",
+    "save_checkpoint",
+    "save_student",
+]
 
 #: The kinds of weight files.
 KIND, CHECKPOINT_KIND = "student", "student-checkpoint"
@@ -28,10 +38,7 @@ def save_student(
     path: str | Path, weights: dict[str, Tensor], settings: StudentSettings, notes: dict[str, Any], storage: str = STORAGES[0]
 ) -> None:
     """Write weights for inference; ``notes`` say how they came about, ``storage`` is one of `STORAGES`."""
-    if storage == "int8":
-        stored = to_bytes(weights)
-    else:
-        stored = {name: value.to(torch.bfloat16) if name != "spread" else value for name, value in weights.items()}
+    stored = to_bytes(weights) if storage == "int8" else in_bfloat16(weights)
     save_weights(path, stored, KIND, {"student": settings.to_dict(), "notes": notes})
 
 
@@ -44,17 +51,27 @@ def load_student(path: str | Path) -> Student:
     """
     tensors, header = load_weights(path, KIND)
     student = Student(StudentSettings.from_dict(header.get("student", {})))
-    _fill(student, to_floats(tensors), path)
+    fill(student, to_floats(tensors), path)
     return student.eval()
 
 
-def _fill(student: nn.Module, tensors: dict[str, Tensor], path: str | Path) -> None:
+def in_bfloat16(weights: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Weights as they are stored for inference; the spread of samples stays exact."""
+    return {name: value.to(torch.bfloat16) if name != "spread" else value for name, value in weights.items()}
+
+
+def fill(student: nn.Module, tensors: dict[str, Tensor], path: str | Path) -> None:
+    """Give a network its weights.
+
+    Raises:
+        SettingsError: If they do not fit, naming the file they are from.
+    """
     try:
         student.load_state_dict(tensors)
     except RuntimeError as fault:
         words = str(fault).splitlines()[-1].strip()
         raise SettingsError(
-            "weights", f"{path} does not fit ({words})", "names and shapes must be the student's", MEND
+            "weights", f"{path} does not fit ({words})", "names and shapes must be the network's", MEND
         ) from None
 
 
@@ -85,7 +102,7 @@ def restore(
     for name, value in tensors.items():
         group, _, rest = name.partition("/")
         groups[group][rest] = value
-    _fill(student, groups["model"], path)
+    fill(student, groups["model"], path)
     for name, value in groups["average"].items():
         average[name].copy_(value)
     state: dict[int, dict[str, Tensor]] = {}

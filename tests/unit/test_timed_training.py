@@ -84,6 +84,16 @@ def test_damaged_and_foreign_weights_are_named(stages, tmp_path):
         load_timed(tmp_path / "nowhere")
 
 
+def test_a_run_begins_with_weights_of_its_own_mode_only(stages, tmp_path):
+    path, given = tmp_path / "a.safetensors", TimedTrainer(dataclasses.replace(SHORT, seed=3), stages).network
+    save_timed(path, given.state_dict(), given.settings, {})
+    trainer = TimedTrainer(SHORT, stages)
+    assert len(trainer.begin_with(path, load_timed)) == 64  # a digest: a run on other weights of this name is another run
+    assert all(torch.equal(value, load_timed(path).state_dict()[name]) for name, value in trainer.average.items())
+    with pytest.raises(SettingsError, match="begin_with"):
+        TimedTrainer(dataclasses.replace(SHORT, mode="diffusion"), stages).begin_with(path, load_timed)
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
