@@ -62,6 +62,18 @@ def test_a_run_goes_on_with_the_same_weights(stages, tmp_path):
         restore(path, second.network, second.average, second.optimiser, {**terms, "seed": 1})
 
 
+def test_weights_are_averaged_the_less_the_earlier(stages):
+    trainer = TimedTrainer(SHORT, stages)
+    expected = {name: value.clone() for name, value in trainer.network.state_dict().items()}
+    for step in (1, 2, 3):
+        trainer.advance()
+        decay = min(SHORT.ema_decay, (1 + step) / (10 + step))
+        for name, value in trainer.network.state_dict().items():
+            expected[name] = decay * expected[name] + (1.0 - decay) * value
+    for name, value in trainer.averaged().state_dict().items():
+        assert torch.allclose(value, expected[name], atol=1e-6), name
+
+
 def test_saved_weights_answer_alike(stages, tmp_path):
     network = TimedTrainer(SHORT, stages).averaged()
     for parameter in network.parameters():
