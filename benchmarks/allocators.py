@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.peers import solve_pyvrp
 from flockopt import Scene, SettingsError, refine_bundles
-from flockopt.allocate.exact import solve_exact
-from flockopt.allocate.explain import explained
 from flockopt.bundles import Bundles
+from flockopt.bundles.exact.exact import solve_exact
+from flockopt.bundles.explain import explained
 from flockopt.travel import Travel
 
 __all__ = ["ALLOCATORS", "Allocator", "allocator", "nearest_task"]

@@ -21,10 +21,10 @@ import numpy as np
 from benchmarks.planning import CITIES, Case, warm_up
 from benchmarks.report import Rows, header, markdown_table, write_summary
 from flockopt import FlockError, Scene, generate, plan
-from flockopt.families import FAMILIES
-from sim.execute import execute
-from sim.settings import FlightSettings
-from sim.trial import TRACKING_MARGIN_M
+from flockopt.scene.families.layouts import FAMILIES
+from sim.mission.execute import execute
+from sim.physics.settings import FlightSettings
+from sim.trials.trial import TRACKING_MARGIN_M
 
 __all__ = ["main"]
 

@@ -20,13 +20,13 @@ import numpy as np
 from benchmarks.allocators import nearest_task
 from benchmarks.report import Rows, header, markdown_table, write_summary
 from flockopt import FlockError, Scene, compute_travel, generate
-from flockopt.allocate.exact import solve_exact
-from flockopt.bundles import insertion_cost
-from flockopt.families import FAMILIES
+from flockopt.bundles.bundles import insertion_cost
+from flockopt.bundles.exact.exact import solve_exact
+from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from learned.teacher.allocators import Allocation, load_allocator
 from learned.teacher.refinement import refine
-from learned.teacher.validation import optimal_one_task_cost
+from learned.teacher.training.validation import optimal_one_task_cost
 
 __all__ = ["main"]
 

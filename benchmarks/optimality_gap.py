@@ -27,10 +27,11 @@ import numpy as np
 from benchmarks.allocators import Allocator, allocator
 from benchmarks.report import Rows, header, markdown_table, spread, write_summary
 from flockopt import FlockError, Scene, compute_travel, generate, lower_bound
-from flockopt.allocate.exact import OPTIMAL_GAP, solve_exact
 from flockopt.bundles import Bundles
+from flockopt.bundles.exact.exact import OPTIMAL_GAP, solve_exact
 from flockopt.scene import Bounds, Drone, Task
-from flockopt.travel import Travel, straight_travel
+from flockopt.travel import Travel
+from flockopt.travel.travel import straight_travel
 
 __all__ = ["main"]
 

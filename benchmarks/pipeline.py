@@ -25,12 +25,14 @@ import torch
 
 from benchmarks.report import Rows, header, markdown_table, spread, write_summary
 from flockopt import FlockError, Scene, generate, plan
-from flockopt.allocate.refine import refine_bundles
-from flockopt.bundles import bundle_compactness, insertion_cost, tasks_per_drone_std
-from flockopt.families import FAMILIES
-from flockopt.plan import ANY_ANGLE, PLANNERS, Plan, Proposal, Request, classical
-from flockopt.travel import Travel, compute_travel
-from learned import planner as teacher_planners
+from flockopt.bundles.bundles import bundle_compactness, insertion_cost, tasks_per_drone_std
+from flockopt.bundles.refine import refine_bundles
+from flockopt.planning.pipeline import Plan
+from flockopt.planning.planners import ANY_ANGLE, PLANNERS, Proposal, Request, classical
+from flockopt.scene.families.layouts import FAMILIES
+from flockopt.travel import Travel
+from flockopt.travel.compute import compute_travel
+from learned.paths.ways import find_ways
 from learned.student.planner import (
     PAPER_WEIGHTS,
     WEIGHTS,
@@ -41,9 +43,9 @@ from learned.student.planner import (
     searched_plan,
     shipped_student,
 )
-from learned.ways import find_ways
-from sim.execute import execute
-from sim.trial import TRACKING_MARGIN_M
+from learned.teacher import planner as teacher_planners
+from sim.mission.execute import execute
+from sim.trials.trial import TRACKING_MARGIN_M
 
 __all__ = ["main"]
 

@@ -20,7 +20,7 @@ from joblib import Parallel, delayed
 
 from benchmarks.report import Rows, header, markdown_table, peak_memory_gb, spread, write_summary
 from flockopt import FlockError, Scene, generate, plan
-from flockopt.families import FAMILIES
+from flockopt.scene.families.layouts import FAMILIES
 
 __all__ = ["main"]
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.report import Rows, header, markdown_table, write_summary
 from flockopt import Bounds, Drone, Scene, SettingsError, Task, refine_bundles
-from flockopt.geometry import FloatArray
-from flockopt.travel import straight_travel
+from flockopt.records.arrays import FloatArray
+from flockopt.travel.travel import straight_travel
 
 __all__ = ["Instances", "main"]
 

@@ -21,10 +21,10 @@ import numpy as np
 
 from benchmarks.report import Rows, header, markdown_table, spread, write_summary
 from flockopt import Changes, Scene, compute_travel, generate, plan, refine_bundles, replan
-from flockopt.families import FAMILIES
-from flockopt.planfile import Plan
-from flockopt.replan import Replanned
-from sim.events import random_task
+from flockopt.certificate import Plan
+from flockopt.planning.replan import Replanned
+from flockopt.scene.families.layouts import FAMILIES
+from sim.mission.events import random_task
 
 __all__ = ["main"]
 

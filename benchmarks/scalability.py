@@ -37,29 +37,32 @@ import torch
 
 from benchmarks.report import Rows, header, markdown_table, spread, write_summary
 from flockopt import Scene, generate, refine_bundles
-from flockopt.allocate.bounds import lower_bound
-from flockopt.allocate.exact import solve_exact
 from flockopt.bundles import Bundles
-from flockopt.certify import certify
+from flockopt.bundles.bounds.bounds import lower_bound
+from flockopt.bundles.exact.exact import solve_exact
+from flockopt.certificate.judge import certify
 from flockopt.errors import MissingExtra
-from flockopt.families import FAMILIES
-from flockopt.geometry import FloatArray
-from flockopt.plan import Request, classical, draft_plan, plan_cost
-from flockopt.trajectory.decode import decode
-from flockopt.trajectory.deconflict import deconflict
-from flockopt.trajectory.waypoints import waypoints_from_samples
-from flockopt.travel import Travel, compute_travel, straight_travel
-from learned.planner import magnnet_bundling
-from learned.rollout import route_legs
-from learned.student.backend import network
-from learned.student.batch import collate
-from learned.student.examples import example
+from flockopt.flights.apart.deconflict import deconflict
+from flockopt.flights.decode import decode
+from flockopt.flights.waypoints import waypoints_from_samples
+from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.planning.planners import Request, classical
+from flockopt.records.arrays import FloatArray
+from flockopt.scene.families.layouts import FAMILIES
+from flockopt.travel import Travel
+from flockopt.travel.compute import compute_travel
+from flockopt.travel.travel import straight_travel
+from learned.paths.rollout import route_legs
+from learned.paths.voxels import VoxelSettings, voxel_oracle
+from learned.student.backends.choice import network
 from learned.student.inference import Drawing, Network, decide
-from learned.student.model import Student
+from learned.student.network.model import Student
+from learned.student.network.rows import rows_of
 from learned.student.planner import STEPS, drawn_plans, searched_plan, shipped_student
 from learned.student.pulling import ways_of
-from learned.student.rows import rows_of
-from learned.voxels import VoxelSettings, voxel_oracle
+from learned.student.scenes.batch import collate
+from learned.student.scenes.examples import example
+from learned.teacher.planner import magnnet_bundling
 
 __all__ = ["main"]
 

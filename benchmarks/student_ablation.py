@@ -25,15 +25,17 @@ import torch
 
 from benchmarks.report import Rows, header, markdown_table, spread, write_summary
 from flockopt import Scene, refine_bundles
-from flockopt.geometry import FloatArray
-from flockopt.travel import Travel, compute_travel, straight_travel
-from learned.demonstration_scenes import SceneMix, draw_scene, random_bundles
-from learned.student.batch import collate
+from flockopt.records.arrays import FloatArray
+from flockopt.travel import Travel
+from flockopt.travel.compute import compute_travel
+from flockopt.travel.travel import straight_travel
+from learned.demonstrations.scenes import SceneMix, draw_scene, random_bundles
 from learned.student.checkpoint import load_student
-from learned.student.examples import Example, example
 from learned.student.inference import draw, task_probabilities
-from learned.student.model import Student
+from learned.student.network.model import Student
 from learned.student.planner import STEPS, TRIES, WEIGHTS
+from learned.student.scenes.batch import collate
+from learned.student.scenes.examples import Example, example
 
 __all__ = ["main"]
 

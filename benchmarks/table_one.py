@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from benchmarks.report import header, markdown_table
-from flockopt.geometry import FloatArray
+from flockopt.records.arrays import FloatArray
 
 __all__ = ["draw", "summary"]
 

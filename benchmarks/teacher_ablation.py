@@ -21,19 +21,20 @@ from typing import Any, TypeAlias
 from benchmarks.allocators import nearest_task
 from benchmarks.report import Rows, write_summary
 from benchmarks.table_one import draw, summary
-from flockopt import FlockError, SettingsError, reading
-from flockopt.allocate.exact import solve_exact
-from flockopt.allocate.explain import explained
-from flockopt.backends import BACKENDS
-from flockopt.families import FAMILIES
-from flockopt.plan import PLANNERS, Proposal, Request, classical
-from flockopt.progress_bar import ProgressBar
+from flockopt import FlockError, SettingsError
+from flockopt.batches.backends import BACKENDS
+from flockopt.batches.progress import ProgressBar
+from flockopt.bundles.exact.exact import solve_exact
+from flockopt.bundles.explain import explained
+from flockopt.planning.planners import PLANNERS, Proposal, Request, classical
+from flockopt.records import checks
 from flockopt.scene import Scene
-from learned import planner as learned_planner
-from learned.ways import PATHS, find_ways
-from sim.batch import run_batch
-from sim.journal import Journal
-from sim.trial import Result, Trial, run_trial
+from flockopt.scene.families.layouts import FAMILIES
+from learned.paths.ways import PATHS, find_ways
+from learned.teacher import planner as learned_planner
+from sim.trials.batch import run_batch
+from sim.trials.journal import Journal
+from sim.trials.trial import Result, Trial, run_trial
 
 __all__ = ["METHODS", "main"]
 
@@ -119,9 +120,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _records(options: argparse.Namespace) -> list[Record]:
     """All rows, flown now or before."""
-    scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
-    jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
-    first = reading.integer(SettingsError, "seed", options.seed, least=0)
+    scenes = checks.integer(SettingsError, "scenes", options.scenes, least=1)
+    jobs = checks.integer(SettingsError, "jobs", options.jobs, least=1)
+    first = checks.integer(SettingsError, "seed", options.seed, least=0)
     cases = [(options.families[index % len(options.families)], first + index) for index in range(scenes)]
     bar = ProgressBar(len(options.methods) * scenes)
     found: dict[tuple[str, str], Record] = {}

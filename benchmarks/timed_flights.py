@@ -26,15 +26,15 @@ import torch
 from benchmarks.report import Rows, header, markdown_table, spread, write_summary
 from flockopt import Scene, certify, compute_travel, decode, deconflict, generate, refine_bundles
 from flockopt.bundles import Bundles
-from flockopt.curve import Flight
-from flockopt.families import FAMILIES
-from flockopt.plan import draft_plan, plan_cost
-from flockopt.trajectory.flight_stages import MOTIONLESS, SMOOTHED
-from flockopt.trajectory.proposed import Proposed, fly_proposals
-from flockopt.trajectory.smooth import Smoothed, smooth_each
-from flockopt.trajectory.stages import squared_jerk
+from flockopt.flights import Flight
+from flockopt.flights.smoothing.improve import MOTIONLESS, SMOOTHED
+from flockopt.flights.smoothing.proposals import Proposed, fly_proposals
+from flockopt.flights.smoothing.smooth import Smoothed, smooth_each
+from flockopt.flights.smoothing.stages import squared_jerk
+from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
-from learned.student.timed_smoother import WEIGHTS, NetworkProposer, shipped_timed
+from learned.smoother.smoother import WEIGHTS, NetworkProposer, shipped_timed
 
 __all__ = ["main"]
 

@@ -21,15 +21,15 @@ import numpy as np
 
 from benchmarks.report import Rows, header, markdown_table, spread, write_summary
 from flockopt import Bundles, FlockError, Scene, compute_travel, generate, refine_bundles, smooth
-from flockopt.bernstein import control_points, largest_norm
-from flockopt.continuous import least_clearance, least_separation, parked
-from flockopt.curve import Curve, Flight
-from flockopt.families import FAMILIES
-from flockopt.geometry import FloatArray
-from flockopt.trajectory import decode as decoding
-from flockopt.trajectory.deconflict import deconflict
-from flockopt.trajectory.quintic import decode_quintic
-from flockopt.trajectory.waypoints import waypoints_from_paths
+from flockopt.flights import Curve, Flight
+from flockopt.flights import decode as decoding
+from flockopt.flights.apart.deconflict import deconflict
+from flockopt.flights.laws.quintic import decode_quintic
+from flockopt.flights.waypoints import waypoints_from_paths
+from flockopt.geometry.bernstein import control_points, largest_norm
+from flockopt.geometry.continuous import least_clearance, least_separation, parked
+from flockopt.records.arrays import FloatArray
+from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 
 __all__ = ["LAWS", "main"]

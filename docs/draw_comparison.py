@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from flockopt import Scene, generate, plan
-from flockopt.show.motion import sample_motion
-from flockopt.show.top_view import draw_top_view
+from flockopt.outputs.pictures.motion import sample_motion
+from flockopt.outputs.pictures.top_view import draw_top_view
 
 SCENES = {"forest": "among cylinders", "corridor": "partitioned corridor"}
 PIPELINES = {"magnnet-bundling": ("MAGNNET + bundling, grid paths", "voxel6"), "hybrid": ("hybrid", "any-angle")}

@@ -7,8 +7,9 @@ import sys
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from flockopt.families import FAMILIES, generate
-from flockopt.show.top_view import draw_top_view
+from flockopt.outputs.pictures.top_view import draw_top_view
+from flockopt.scene.families.generate import generate
+from flockopt.scene.families.layouts import FAMILIES
 
 
 def draw(path: str) -> None:

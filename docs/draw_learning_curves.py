@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from flockopt.show.style import drone_color
+from flockopt.outputs.pictures.style import drone_color
 
 #: What each method's excess is measured against.
 REFERENCES = {"teacher": "best known travel", "magnnet": "optimal one-task assignment"}

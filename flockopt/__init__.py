@@ -6,28 +6,28 @@ Names are loaded when they are first used, so that ``import flockopt`` stays lig
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from flockopt.allocate.bounds import lower_bound
-    from flockopt.allocate.refine import refine_bundles
     from flockopt.bundles import Bound, Bundles
-    from flockopt.certify import certify
-    from flockopt.curve import Curve, Flight, Visit
+    from flockopt.bundles.bounds.bounds import lower_bound
+    from flockopt.bundles.refine import refine_bundles
+    from flockopt.certificate import Plan
+    from flockopt.certificate.judge import certify
     from flockopt.errors import FlockError, MissingExtra, PlanError, SceneError, SettingsError, SolverFailed
-    from flockopt.export import Export, export
-    from flockopt.families.generate import generate
-    from flockopt.plan import plan
-    from flockopt.planfile import Plan
-    from flockopt.replan import Changes, replan
+    from flockopt.flights import Curve, Flight, Visit
+    from flockopt.flights.apart.deconflict import deconflict
+    from flockopt.flights.decode import decode
+    from flockopt.flights.smoothing.smooth import smooth
+    from flockopt.outputs.devices.export import Export, export
+    from flockopt.outputs.pictures.drawing import show
+    from flockopt.planning.pipeline import plan
+    from flockopt.planning.handover import Changes
+    from flockopt.planning.replan import replan
     from flockopt.scene import Bounds, Box, Cylinder, Drone, Origin, Scene, Sphere, Task
-    from flockopt.show import show
-    from flockopt.trajectory.decode import decode
-    from flockopt.trajectory.deconflict import deconflict
-    from flockopt.trajectory.smooth import smooth
-    from flockopt.travel import Travel, compute_travel
+    from flockopt.scene.families.generate import generate
+    from flockopt.travel import Travel
+    from flockopt.travel.compute import compute_travel
 
     __version__: str
 
@@ -40,41 +40,27 @@ __all__ = [
 
 #: Which module defines each public name.
 _HOMES = {
-    "flockopt.allocate.bounds": ("lower_bound",),
-    "flockopt.allocate.refine": ("refine_bundles",),
     "flockopt.bundles": ("Bound", "Bundles"),
-    "flockopt.certify": ("certify",),
-    "flockopt.curve": ("Curve", "Flight", "Visit"),
+    "flockopt.bundles.bounds.bounds": ("lower_bound",),
+    "flockopt.bundles.refine": ("refine_bundles",),
+    "flockopt.certificate": ("Plan",),
+    "flockopt.certificate.judge": ("certify",),
     "flockopt.errors": ("FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed"),
-    "flockopt.export": ("Export", "export"),
-    "flockopt.families.generate": ("generate",),
-    "flockopt.plan": ("plan",),
-    "flockopt.planfile": ("Plan",),
-    "flockopt.replan": ("Changes", "replan"),
+    "flockopt.flights": ("Curve", "Flight", "Visit"),
+    "flockopt.flights.apart.deconflict": ("deconflict",),
+    "flockopt.flights.decode": ("decode",),
+    "flockopt.flights.smoothing.smooth": ("smooth",),
+    "flockopt.outputs.devices.export": ("Export", "export"),
+    "flockopt.outputs.pictures.drawing": ("show",),
+    "flockopt.planning.pipeline": ("plan",),
+    "flockopt.planning.handover": ("Changes",),
+    "flockopt.planning.replan": ("replan",),
     "flockopt.scene": ("Bounds", "Box", "Cylinder", "Drone", "Origin", "Scene", "Sphere", "Task"),
-    "flockopt.show": ("show",),
-    "flockopt.trajectory.decode": ("decode",),
-    "flockopt.trajectory.deconflict": ("deconflict",),
-    "flockopt.trajectory.smooth": ("smooth",),
-    "flockopt.travel": ("Travel", "compute_travel"),
+    "flockopt.scene.families.generate": ("generate",),
+    "flockopt.travel": ("Travel",),
+    "flockopt.travel.compute": ("compute_travel",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-
-
-class _Package(ModuleType):
-    """This package's type: a function stays in view where its module has the same name.
-
-    Loading a submodule binds it to its package, so that ``flockopt.plan`` would turn from a function into a
-    module as soon as anyone imports from it.
-    """
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if isinstance(value, ModuleType) and _HOME_OF.get(name) == value.__name__:
-            value = getattr(value, name)
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:

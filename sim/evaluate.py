@@ -17,21 +17,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flockopt import FlockError, SettingsError, reading
-from flockopt.backends import BACKENDS
-from flockopt.families import FAMILIES
-from flockopt.plan import ANY_ANGLE, find_planner
-from flockopt.progress_bar import ProgressBar
-from sim.batch import run_batch
-from sim.events import KINDS, EventSettings
-from sim.fleet import CONTROLLERS
-from sim.journal import Journal
+from flockopt import FlockError, SettingsError
+from flockopt.batches.backends import BACKENDS
+from flockopt.batches.progress import ProgressBar
+from flockopt.planning.planners import ANY_ANGLE, find_planner
+from flockopt.records import checks, files
+from flockopt.scene.families.layouts import FAMILIES
+from sim.mission.events import KINDS, EventSettings
 from sim.movie import save_movie
-from sim.settings import FlightSettings
-from sim.summary import draw_summary, flawless, summary_text
-from sim.trial import TRACKING_MARGIN_M, Result, Trial
-from sim.vehicles import VEHICLES
-from sim.world import load_pybullet
+from sim.physics.fleet import CONTROLLERS
+from sim.physics.settings import FlightSettings
+from sim.physics.vehicles import VEHICLES
+from sim.physics.world import load_pybullet
+from sim.trials.batch import run_batch
+from sim.trials.journal import Journal
+from sim.trials.summary import draw_summary, flawless, summary_text
+from sim.trials.trial import TRACKING_MARGIN_M, Result, Trial
 
 __all__ = ["add_event_options", "add_flight_options", "event_settings", "flight_settings", "main"]
 
@@ -89,7 +90,7 @@ def add_event_options(parser: argparse.ArgumentParser) -> None:
 
 def event_settings(options: argparse.Namespace) -> EventSettings | None:
     """What the options of `add_event_options` ask for; None for nothing."""
-    number = reading.integer(SettingsError, "events", options.events, least=0)
+    number = checks.integer(SettingsError, "events", options.events, least=0)
     settings = EventSettings(max(number, 1), tuple(options.event_kinds), gust_mps=options.gust)
     return settings if number else None
 
@@ -134,7 +135,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     rows = [result.row for result in results]
     heading = f"# Flights\n\n`python -m sim.evaluate {shlex.join(options.words)}`\n"
     text = summary_text(heading, rows, [result.timing for result in results])
-    reading.write_whole(SettingsError, options.out / "summary.md", text)
+    files.write_whole(SettingsError, options.out / "summary.md", text)
     draw_summary(rows, options.out / "summary.png")
     if not options.no_movie:
         _film(trials, results, options.out / "flight.gif")
@@ -144,15 +145,15 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 def _trials(options: argparse.Namespace) -> list[Trial]:
     """The flights asked for, once nothing is wrong with what they share."""
-    scenes = reading.integer(SettingsError, "scenes", options.scenes, least=1)
-    seed = reading.integer(SettingsError, "seed", options.seed, least=0)
-    options.jobs = reading.integer(SettingsError, "jobs", options.jobs, least=1)
+    scenes = checks.integer(SettingsError, "scenes", options.scenes, least=1)
+    seed = checks.integer(SettingsError, "seed", options.seed, least=0)
+    options.jobs = checks.integer(SettingsError, "jobs", options.jobs, least=1)
     find_planner(options.planner, options.paths)
     if options.backend not in BACKENDS:
         raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
     if options.time_limit is not None:
-        reading.number(SettingsError, "time-limit", options.time_limit, above=0.0)
-    margin_m = reading.number(SettingsError, "tracking-margin", options.tracking_margin, least=0.0)
+        checks.number(SettingsError, "time-limit", options.time_limit, above=0.0)
+    margin_m = checks.number(SettingsError, "tracking-margin", options.tracking_margin, least=0.0)
     first = Trial(
         options.family, options.drones, options.tasks, seed, options.planner, options.time_limit, flight_settings(options),
         options.force, margin_m, options.paths, event_settings(options),

@@ -15,11 +15,11 @@ from pathlib import Path
 
 from flockopt import FlockError, Plan, Scene
 from sim.evaluate import add_event_options, add_flight_options, event_settings, flight_settings
-from sim.events import Event, schedule
-from sim.execution import Execution
-from sim.mission import Mission, MissionOutcome
+from sim.mission.events import Event, schedule
+from sim.mission.execution import Execution
+from sim.mission.mission import Mission, MissionOutcome
 from sim.movie import save_movie
-from sim.trial import TRACKING_MARGIN_M
+from sim.trials.trial import TRACKING_MARGIN_M
 
 __all__ = ["main"]
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flockopt import reading
 from flockopt.errors import MissingExtra, SettingsError
-from flockopt.geometry import FloatArray
+from flockopt.outputs.pictures.style import drone_color
+from flockopt.outputs.pictures.top_view import draw_top_view
+from flockopt.records import files
+from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
-from flockopt.show.style import drone_color
-from flockopt.show.top_view import draw_top_view
-from sim.execute import Execution
+from sim.mission.execute import Execution
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -39,7 +39,7 @@ def save_movie(flight: Execution, path: Path) -> None:
         MissingExtra: If matplotlib (and with it pillow) is not installed.
         SettingsError: If the file cannot be written.
     """
-    target = reading.check_output(SettingsError, path)
+    target = files.check_output(SettingsError, path)
     ground, pixels = _ground(flight.scene)
     from PIL.Image import Dither
 

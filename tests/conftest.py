@@ -37,7 +37,7 @@ def scene():
 @pytest.fixture
 def flockopt(capsys):
     """Run the command line in this process: ``status, out, err = flockopt("plan", ...)``."""
-    from flockopt.cli import main
+    from flockopt.cli.main import main
 
     def run(*arguments):
         status = main([str(argument) for argument in arguments])

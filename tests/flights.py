@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 from flockopt import Bounds, Bundles, Drone, Scene, Task
-from flockopt.bernstein import control_points, largest_norm
-from flockopt.continuous import curve_clear, least_separation, parked
+from flockopt.geometry.bernstein import control_points, largest_norm
+from flockopt.geometry.continuous import curve_clear, least_separation, parked
 
 BOUNDS = Bounds((0, 0, 0), (10, 10, 4))
 

@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 
 from flockopt.scene import Bounds, Drone, Scene, Task
-from flockopt.travel import Travel, straight_travel
+from flockopt.travel import Travel
+from flockopt.travel.travel import straight_travel
 
 SIDE_M = np.array([20.0, 20.0, 5.0])
 

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 
 from flockopt import generate
-from flockopt.travel import compute_travel
-from learned.rollout import route_legs
-from learned.student.examples import example, with_ways
-from learned.student.model import Student
+from flockopt.travel.compute import compute_travel
+from learned.paths.rollout import route_legs
+from learned.student.network.model import Student
+from learned.student.scenes.examples import example, with_ways
 from learned.student.settings import CONFIGS
 
 TINY = {

@@ -28,7 +28,7 @@ MODULES = {name: path for package in PACKAGES for name, path in sources(package)
 
 
 #: The packages with a map of their own in docs/architecture.md, and the module that it begins with.
-MAPPED = {"flockopt": "errors", "sim": "vectors", "learned": "weight_files"}
+MAPPED = {"flockopt": "errors", "sim": "physics.vectors", "learned": "networks.weight_files"}
 
 
 def layers(package="flockopt"):
@@ -58,7 +58,7 @@ def imports(name):
             assert node.level == 0, f"{name} has a relative import"
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
-                found.add(whole if whole in MODULES and not _is_own_name(node.module, alias.name) else node.module)
+                found.add(whole if whole in MODULES else node.module)
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module") and name != "flockopt":
             assert isinstance(node.args[0], ast.Constant), f"{name} imports by a computed name"
             found.add(node.args[0].value)
@@ -67,16 +67,6 @@ def imports(name):
 
     visit(ast.parse(MODULES[name].read_text(encoding="utf-8")))
     return {module for module in found if module.split(".")[0] in PACKAGES} - {name}
-
-
-def _is_own_name(package, name):
-    """Whether ``from package import name`` means the function of that name, not the module."""
-    if package == "flockopt":
-        import flockopt
-
-        return name in flockopt.__all__
-    initial = MODULES.get(package)
-    return initial is not None and f"import {name}" in initial.read_text(encoding="utf-8")
 
 
 def is_package(name):
@@ -89,10 +79,15 @@ def mapped_modules():
 
 
 def rank(name, order):
-    """A package's __init__ re-exports, so importing it needs its last module."""
+    """A module's place in the map; a package re-exports, so importing it needs the last of what it imports."""
     if is_package(name):
-        return max(index for index, other in enumerate(order) if other.startswith(f"{name}."))
+        return max((rank(target, order) for target in imports(name)), default=-1)
     return order.index(name)
+
+
+def room(name):
+    """The package that a module of flockopt stands in, or the module itself."""
+    return name.split(".")[1]
 
 
 @pytest.mark.parametrize("package", MAPPED)
@@ -113,7 +108,28 @@ def test_imports_point_up(name):
             assert rank(target, order) < rank(name, order), f"{name} imports {target}, which stands below it"
 
 
-@pytest.mark.parametrize("name", [name for name in sources("flockopt") if is_package(name) and name != "flockopt"])
+def test_packages_stand_in_one_order():
+    """Whatever a package of flockopt imports, nothing runs back: each package is done before the next begins."""
+    order = list(dict.fromkeys(room(name) for name in layers()))
+    for name in sources("flockopt"):
+        if name != "flockopt":
+            rooms = {room(target) for target in imports(name) if target.startswith("flockopt.")}
+            assert all(order.index(other) <= order.index(room(name)) for other in rooms), name
+
+
+def test_no_function_shares_its_name_with_a_module_beside_it():
+    names = {name.rpartition(".")[0::2] for name in MODULES}
+    for name in filter(is_package, MODULES):
+        exported = {
+            alias.name
+            for node in ast.walk(ast.parse(MODULES[name].read_text()))
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        assert not {(name, one) for one in exported} & names, name
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if is_package(name) and name != "flockopt"])
 def test_packages_only_re_export(name):
     tree = ast.parse(MODULES[name].read_text(encoding="utf-8"))
     for node in tree.body:
@@ -129,21 +145,22 @@ def test_packages_import_only_what_they_may(name):
 
 
 def test_the_judge_imports_no_planner():
-    reached, waiting = set(), ["flockopt.certify"]
+    reached, waiting = set(), ["flockopt.certificate.judge"]
     while waiting:
         name = waiting.pop()
         if name not in reached:
             reached.add(name)
             waiting += imports(name) if name != "flockopt" else ()
-    planners = ("flockopt.allocate", "flockopt.trajectory", "flockopt.plan", "learned", "sim")
-    assert not {name for name in reached if name.startswith(planners) and name != "flockopt.planfile"}
-    assert {"flockopt.scene", "flockopt.curve"} <= reached
+    records = {"flockopt.bundles", "flockopt.bundles.bundles", "flockopt.flights", "flockopt.flights.curve"}
+    planners = ("flockopt.bundles", "flockopt.flights", "flockopt.planning", "learned", "sim")
+    assert not {name for name in reached - records if name.startswith(planners)}
+    assert {"flockopt.scene.scene", "flockopt.flights.curve"} <= reached
 
 
 def test_an_edge_that_points_down_would_be_seen(tmp_path, monkeypatch):
     path = tmp_path / "curve.py"
-    path.write_text("def deferred():\n    from flockopt.plan import plan\n    return plan\n")
-    monkeypatch.setitem(MODULES, "flockopt.curve", path)
-    assert imports("flockopt.curve") == {"flockopt.plan"}
+    path.write_text("def deferred():\n    from flockopt.planning.pipeline import plan\n    return plan\n")
+    monkeypatch.setitem(MODULES, "flockopt.flights.curve", path)
+    assert imports("flockopt.flights.curve") == {"flockopt.planning.pipeline"}
     with pytest.raises(AssertionError, match="stands below"):
-        test_imports_point_up("flockopt.curve")
+        test_imports_point_up("flockopt.flights.curve")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from flockopt import compute_travel, decode, generate, refine_bundles
-from flockopt.trajectory.stages import split
-from learned.timed_shards import StageRecord
+from flockopt.flights.smoothing.stages import split
+from learned.demonstrations.timed_shards import StageRecord
 
 
 def flown(family="forest", drones=5, tasks=10, seed=0):

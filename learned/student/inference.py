@@ -16,14 +16,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from flockopt.geometry import FloatArray
-from flockopt.trajectory.waypoints import CHORD_TOLERANCE, anchored_legs
-from learned.student.batch import FleetBatch, collate
-from learned.student.examples import Example
-from learned.student.leg_choice import best_legs, rank
-from learned.student.leg_clearance import obstructions
-from learned.student.rows import Place, Rows, points_of, rows_of
-from learned.student.scene_encoder import AgentTokens
+from flockopt.flights.waypoints import CHORD_TOLERANCE, anchored_legs
+from flockopt.records.arrays import FloatArray
+from learned.student.legs.choice import best_legs, rank
+from learned.student.legs.clearance import obstructions
+from learned.student.network.rows import Place, Rows, points_of, rows_of
+from learned.student.network.scene_encoder import AgentTokens
+from learned.student.scenes.batch import FleetBatch, collate
+from learned.student.scenes.examples import Example
 from learned.student.settings import StudentSettings
 
 __all__ = ["Drawing", "Network", "decide", "draw", "task_probabilities"]
@@ -33,7 +33,7 @@ SAME_ANCHOR_M = 1e-3
 
 
 class Network(Protocol):
-    """What is asked of a `learned.student.model.Student`, or of one that stands in for it."""
+    """What is asked of a `learned.student.network.model.Student`, or of one that stands in for it."""
 
     settings: StudentSettings
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from flockopt import reading
 from flockopt.errors import SettingsError
-from learned.student.batch import NOTHING, FleetBatch, Ways
-from learned.student.denoiser import Conditions
-from learned.student.diffusion import add_noise, ddim_step, noise_levels, signal_levels
-from learned.student.model import Student
-from learned.student.obstacle_distance import signed_distance
-from learned.student.scene_encoder import SceneTokens
+from flockopt.records import checks
+from learned.networks.diffusion import add_noise, ddim_step, noise_levels, signal_levels
+from learned.networks.obstacle_distance import signed_distance
+from learned.student.network.denoiser import Conditions
+from learned.student.network.model import Student
+from learned.student.network.scene_encoder import SceneTokens
+from learned.student.scenes.batch import NOTHING, FleetBatch, Ways
 
 __all__ = ["LossWeights", "StudentLoss", "allocation_loss", "clearance_loss", "detour_weights", "diffusion_loss"]
 
@@ -83,7 +83,7 @@ class LossWeights:
 
     def __post_init__(self) -> None:
         for field in ("allocation", "diffusion", "clearance"):
-            reading.number(SettingsError, field, getattr(self, field), least=0.0)
+            checks.number(SettingsError, field, getattr(self, field), least=0.0)
 
 
 class StudentLoss(nn.Module):

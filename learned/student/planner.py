@@ -19,22 +19,22 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from flockopt.allocate.refine import refine_bundles
 from flockopt.bundles import Bundles
+from flockopt.bundles.refine import refine_bundles
 from flockopt.errors import MissingExtra, SettingsError
-from flockopt.geometry import FloatArray
-from flockopt.plan import Proposal, Request, classical
+from flockopt.flights.decode import decode
+from flockopt.flights.waypoints import waypoints_from_paths
+from flockopt.planning.planners import Proposal, Request, classical
+from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
-from flockopt.trajectory.decode import decode
-from flockopt.trajectory.waypoints import waypoints_from_paths
-from learned.student.timed_smoother import WEIGHTS as TIMED_WEIGHTS
-from learned.student.timed_smoother import smooth_flights
+from learned.smoother.smoother import WEIGHTS as TIMED_WEIGHTS
+from learned.smoother.smoother import smooth_flights
 
 if TYPE_CHECKING:
-    from learned.student.examples import Example
     from learned.student.inference import Drawing, Network
-    from learned.student.model import Student
-    from learned.student.scene_encoder import AgentTokens
+    from learned.student.network.model import Student
+    from learned.student.network.scene_encoder import AgentTokens
+    from learned.student.scenes.examples import Example
 
 __all__ = [
     "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "drawn_plans", "hybrid", "learned", "learned_paper", "searched_plan",
@@ -75,8 +75,8 @@ def shipped_student(path: Path = WEIGHTS) -> Student:
 
 
 def _computed(student: Student) -> Network:
-    """The student as the backend computes it that ``FLOCKOPT_STUDENT_BACKEND`` names: see `learned.student.backend`."""
-    from learned.student.backend import chosen_backend, network
+    """The student as the backend computes it that ``FLOCKOPT_STUDENT_BACKEND`` names: see `learned.student.backends.choice`."""
+    from learned.student.backends.choice import chosen_backend, network
 
     return network(student, chosen_backend())
 
@@ -189,8 +189,8 @@ def _decisions(student: Network, scenes: Sequence[Scene]) -> tuple[list[FloatArr
 
     There are no tokens where no scene has a task.
     """
-    from learned.student.batch import collate_agents
     from learned.student.inference import decide
+    from learned.student.scenes.batch import collate_agents
 
     if not any(scene.num_tasks for scene in scenes):
         return [None] * len(scenes), None
@@ -219,7 +219,7 @@ def _drawings(
 
 def _example(student: Network, scene: Scene, bundles: Bundles) -> Example | None:
     """What is drawn on, if the student can draw it."""
-    from learned.student.examples import example
+    from learned.student.scenes.examples import example
 
     if bundles.status == "infeasible":
         return None

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from flockopt.geometry import FloatArray
-from flockopt.trajectory.waypoints import CHORD_TOLERANCE
-from learned.student.examples import Example
-from learned.student.leg_choice import pull_legs
-from learned.student.leg_clearance import obstructions
+from flockopt.flights.waypoints import CHORD_TOLERANCE
+from flockopt.records.arrays import FloatArray
+from learned.student.legs.choice import pull_legs
+from learned.student.legs.clearance import obstructions
+from learned.student.scenes.examples import Example
 
 __all__ = ["pulled_samples", "ways_of"]
 

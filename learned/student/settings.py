@@ -6,8 +6,8 @@ import dataclasses
 from dataclasses import dataclass, replace
 from typing import Any
 
-from flockopt import reading
 from flockopt.errors import SettingsError
+from flockopt.records import checks
 
 __all__ = ["CONFIGS", "FRAMES", "HEADS", "OBJECTIVES", "StudentSettings"]
 
@@ -64,9 +64,9 @@ class StudentSettings:
 
     def __post_init__(self) -> None:
         for field in ("hidden", "rounds", "width", "blocks", "heads", "num_samples", "patch", "num_noise_levels"):
-            reading.integer(SettingsError, field, getattr(self, field), least=1)
+            checks.integer(SettingsError, field, getattr(self, field), least=1)
         for field in ("num_drone_slots", "nearest_obstacles"):
-            reading.integer(SettingsError, field, getattr(self, field), least=0)
+            checks.integer(SettingsError, field, getattr(self, field), least=0)
         for field, whole, part in (("num_samples", self.num_samples, self.patch), ("width", self.width, 2 * self.heads)):
             if whole % part:
                 raise SettingsError(field, f"is {whole}", f"must be a multiple of {part}", "choose another")
@@ -83,7 +83,7 @@ class StudentSettings:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> StudentSettings:
         """Settings from a weight file's header; an unknown key is an error."""
-        return cls(**reading.keys(SettingsError, values, (), [field.name for field in dataclasses.fields(cls)]))
+        return cls(**checks.keys(SettingsError, values, (), [field.name for field in dataclasses.fields(cls)]))
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values, for a weight file's header."""

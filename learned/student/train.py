@@ -26,15 +26,15 @@ from torch import Tensor, distributed, nn
 from torch.nn.attention import SDPBackend
 
 from flockopt import FlockError
-from flockopt.run_folder import RunFolder
-from learned.student.batch import FleetBatch, collate
+from flockopt.batches.run_folder import RunFolder
+from learned.networks.training import Learner, Run, add_run_options, held_out, settings_of
 from learned.student.checkpoint import STORAGES, load_student, save_student
-from learned.student.dataset import example_of
-from learned.student.examples import Example
 from learned.student.inference import draw
-from learned.student.learner import Learner, Run, add_run_options, held_out, settings_of
 from learned.student.loss import StudentLoss
-from learned.student.model import Student
+from learned.student.network.model import Student
+from learned.student.scenes.batch import FleetBatch, collate
+from learned.student.scenes.demonstrated import example_of
+from learned.student.scenes.examples import Example
 from learned.student.settings import CONFIGS
 from learned.student.training_settings import TrainingSettings
 
@@ -139,7 +139,7 @@ def run(
 
     A run that begins with a student's weights fine-tunes them. Of several processes the first one writes.
     """
-    from learned.shards import load_demonstrations
+    from learned.demonstrations.shards import load_demonstrations
 
     demonstrations = [demonstration for folder in data for demonstration in load_demonstrations(folder)]
     num_samples = CONFIGS[settings.config].num_samples

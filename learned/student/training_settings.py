@@ -6,15 +6,13 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from flockopt import reading
 from flockopt.errors import SettingsError
+from flockopt.records import checks
+from learned.networks.training import PRECISIONS
 from learned.student.loss import LossWeights
 from learned.student.settings import CONFIGS
 
-__all__ = ["PRECISIONS", "TrainingSettings"]
-
-#: ``auto`` is bfloat16 where the hardware multiplies in it, float32 elsewhere.
-PRECISIONS = ("auto", "float32", "bfloat16")
+__all__ = ["TrainingSettings"]
 
 
 @dataclass(frozen=True)
@@ -54,11 +52,11 @@ class TrainingSettings:
 
     def __post_init__(self) -> None:
         for field in ("steps", "scenes_per_step"):
-            reading.integer(SettingsError, field, getattr(self, field), least=1)
+            checks.integer(SettingsError, field, getattr(self, field), least=1)
         for field in ("warmup_steps", "seed"):
-            reading.integer(SettingsError, field, getattr(self, field), least=0)
+            checks.integer(SettingsError, field, getattr(self, field), least=0)
         for field in ("learning_rate", "clip"):
-            reading.number(SettingsError, field, getattr(self, field), above=0.0)
+            checks.number(SettingsError, field, getattr(self, field), above=0.0)
         for field in (
             "weight_decay",
             "allocation_weight",
@@ -67,7 +65,7 @@ class TrainingSettings:
             "clearance_from",
             "ema_decay",
         ):
-            reading.number(SettingsError, field, getattr(self, field), least=0.0)
+            checks.number(SettingsError, field, getattr(self, field), least=0.0)
         for field in ("ema_decay", "clearance_from"):
             if not getattr(self, field) <= 1.0:
                 raise SettingsError(field, f"is {getattr(self, field):g}", "must be from 0 to 1", "give a share")

@@ -19,13 +19,13 @@ from pathlib import Path
 
 import torch
 
-from flockopt import reading
 from flockopt.errors import SettingsError
+from flockopt.records import checks
 from flockopt.scene import Scene
 from flockopt.travel import Travel
-from learned.problems import Problems
+from learned.teacher.actors.networks import load_actor
 from learned.teacher.episodes import Actor, play
-from learned.teacher.networks import load_actor
+from learned.teacher.problems import Problems
 
 __all__ = ["ALLOCATORS", "WEIGHTS", "Allocation", "Allocator", "load_allocator"]
 
@@ -112,7 +112,7 @@ def load_allocator(method: str, weights: str | Path | None = None) -> Allocator:
         SettingsError: On an unknown method, or a weight file that is missing, damaged or foreign.
     """
     if method not in ALLOCATORS:
-        value = f"is {reading.shown(method)}"
+        value = f"is {checks.shown(method)}"
         raise SettingsError("method", value, f"must be one of {', '.join(ALLOCATORS)}", "choose one")
     trained_as = ALLOCATORS[method].trained_as
     return Allocator(method, load_actor(trained_as, weights or WEIGHTS / f"{trained_as}.safetensors"))

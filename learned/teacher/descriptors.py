@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from learned.problems import Problems
 from learned.teacher.environment import AT_START, Choices, FleetState
+from learned.teacher.problems import Problems
 
 __all__ = ["DRONE_FEATURES", "PAIR_FEATURES", "Observation", "observe"]
 

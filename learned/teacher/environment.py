@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from learned.problems import Problems
+from learned.teacher.problems import Problems
 
 __all__ = ["AT_START", "FAR", "Choices", "FleetState", "Outcome", "choices", "num_to_serve", "reset", "step"]
 

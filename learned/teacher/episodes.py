@@ -13,10 +13,10 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from learned.problems import Problems
 from learned.teacher.descriptors import Observation, observe
 from learned.teacher.environment import Choices, Outcome, choices, num_to_serve, reset, step
 from learned.teacher.ppo import masked_log_softmax
+from learned.teacher.problems import Problems
 
 __all__ = ["Actor", "Moment", "decide", "play"]
 

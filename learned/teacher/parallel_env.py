@@ -13,11 +13,11 @@ import torch
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from flockopt import reading
 from flockopt.errors import SettingsError
-from learned.problems import Problems, random_problems
+from flockopt.records import checks
 from learned.teacher.descriptors import DRONE_FEATURES, PAIR_FEATURES, observe
 from learned.teacher.environment import Choices, FleetState, choices, reset, step
+from learned.teacher.problems import Problems, random_problems
 
 __all__ = ["AllocationEnv"]
 
@@ -57,9 +57,9 @@ class AllocationEnv(ParallelEnv):
         step_cost: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.num_drones = reading.integer(SettingsError, "num_drones", num_drones, least=1)
-        self.num_tasks = reading.integer(SettingsError, "num_tasks", num_tasks, least=1)
-        self.step_cost = reading.number(SettingsError, "step_cost", step_cost, least=0.0)
+        self.num_drones = checks.integer(SettingsError, "num_drones", num_drones, least=1)
+        self.num_tasks = checks.integer(SettingsError, "num_tasks", num_tasks, least=1)
+        self.step_cost = checks.number(SettingsError, "step_cost", step_cost, least=0.0)
         self.possible_agents = [f"drone_{index}" for index in range(num_drones)]
         self.agents: list[str] = []
         self._draw = draw or (lambda generator: random_problems(1, num_drones, num_tasks, generator))

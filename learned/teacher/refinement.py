@@ -17,7 +17,7 @@ from torch import Tensor
 
 from flockopt.scene import Scene
 from flockopt.travel import Travel
-from learned.problems import Problems
+from learned.teacher.problems import Problems
 
 __all__ = ["MOVES_A_TASK", "refine"]
 

@@ -15,9 +15,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flockopt import FlockError, MissingExtra, SettingsError, reading
-from flockopt.progress_bar import ProgressBar
-from learned.teacher.settings import METHODS, TrainingSettings
+from flockopt import FlockError, MissingExtra, SettingsError
+from flockopt.batches.progress import ProgressBar
+from flockopt.records import checks, files
+from learned.teacher.training.settings import METHODS, TrainingSettings
 
 __all__ = ["main"]
 
@@ -57,16 +58,16 @@ def _train(options: argparse.Namespace) -> None:
     names = [field.name for field in dataclasses.fields(TrainingSettings)]
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     settings = TrainingSettings.from_dict(given)
-    threads = reading.integer(SettingsError, "threads", options.threads, least=1)
-    reading.integer(SettingsError, "jobs", options.jobs, least=1)
+    threads = checks.integer(SettingsError, "threads", options.threads, least=1)
+    checks.integer(SettingsError, "jobs", options.jobs, least=1)
     try:
         import torch
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as fault:
         raise MissingExtra(fault.name or "torch", "learned") from None
-    from learned.teacher.scene_pool import ScenePool, build_pool
-    from learned.teacher.training import Training, final_weights
-    from learned.teacher.validation import ValidationSet
+    from learned.teacher.training.run import Training, final_weights
+    from learned.teacher.training.scene_pool import ScenePool, build_pool
+    from learned.teacher.training.validation import ValidationSet
 
     _make_folder(options.out)
     torch.set_num_threads(threads)
@@ -97,7 +98,7 @@ def _make_folder(folder: Path) -> None:
 def _install(path: Path) -> None:
     from learned.teacher.allocators import WEIGHTS
 
-    reading.write_whole(SettingsError, WEIGHTS / path.name, path.read_bytes())
+    files.write_whole(SettingsError, WEIGHTS / path.name, path.read_bytes())
 
 
 def _words(row: dict[str, float]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from tests.unit.test_student_network import golden_record
+from tests.unit.learned.test_student_network import golden_record
 
 if __name__ == "__main__":
     target = Path(__file__).with_name("student.json")

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from flockopt.allocate.bounds import lower_bound
-from flockopt.allocate.exact import solve_exact
-from flockopt.travel import straight_travel
+from flockopt.bundles.bounds.bounds import lower_bound
+from flockopt.bundles.exact.exact import solve_exact
+from flockopt.travel.travel import straight_travel
 from tests.instances import random_scene, with_cut_legs
 from tests.known.brute_force import least_travel
 

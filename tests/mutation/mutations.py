@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from flockopt.bernstein import control_points, largest_norm
 from flockopt.bundles import Bound
-from flockopt.continuous import least_clearance
-from flockopt.curve import Curve, Flight, Visit
-from flockopt.geometry import bounding_boxes, surface_normals
-from flockopt.planfile import Plan
+from flockopt.certificate import Plan
+from flockopt.flights import Curve, Flight, Visit
+from flockopt.geometry.bernstein import control_points, largest_norm
+from flockopt.geometry.continuous import least_clearance
+from flockopt.geometry.distances import bounding_boxes, surface_normals
 from flockopt.scene import Scene
 
 __all__ = ["MUTATIONS", "mutate"]
@@ -248,7 +248,7 @@ def dip(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
 
 
 def _distances(scene: Scene, point: np.ndarray) -> np.ndarray:
-    from flockopt.geometry import distances
+    from flockopt.geometry.distances import distances
 
     return distances(scene.obstacle_table, point)[0]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flockopt.certify import certify
+from flockopt.certificate.judge import certify
 from tests.mutation.mutations import MUTATIONS, mutate
 from tests.mutation.valid_plans import lane_scene, plan_of_lanes
 

@@ -7,12 +7,13 @@ import math
 import numpy as np
 
 from flockopt.bundles import Bound
-from flockopt.certificate import CLAUSES, Certificate, Clause
-from flockopt.curve import Curve, Flight, Visit
-from flockopt.planfile import Cost, Plan
-from flockopt.proof import recompute_bound
+from flockopt.certificate import Certificate, Clause, Cost, Plan
+from flockopt.certificate.certificate import CLAUSES
+from flockopt.certificate.proof import recompute_bound
+from flockopt.flights import Curve, Flight, Visit
 from flockopt.scene import Bounds, Box, Cylinder, Drone, Scene, Sphere, Task
-from flockopt.travel import Travel, straight_travel
+from flockopt.travel import Travel
+from flockopt.travel.travel import straight_travel
 
 __all__ = ["lane_scene", "plan_of_lanes"]
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks.optimality_gap import uniform_scene
-from flockopt.allocate.bounds import lower_bound
-from flockopt.allocate.exact import solve_exact
-from flockopt.proof import recompute_bound
-from flockopt.travel import straight_travel
+from flockopt.bundles.bounds.bounds import lower_bound
+from flockopt.bundles.exact.exact import solve_exact
+from flockopt.certificate.proof import recompute_bound
+from flockopt.travel.travel import straight_travel
 from tests.instances import random_instance, random_scene, with_cut_legs
 from tests.oracle.arc_model import least_travel
 

@@ -7,10 +7,11 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from flockopt.geometry import BOX, SPHERE, distances, obstacle_table
-from flockopt.kernels import segment_distances
-from flockopt.roadmap import Roadmap
+from flockopt.geometry.distances import BOX, SPHERE, distances
+from flockopt.geometry.kernels import segment_distances
 from flockopt.scene import Box, Cylinder, Sphere
+from flockopt.scene.parts import obstacle_table
+from flockopt.travel.roadmap import Roadmap
 
 LOWER, UPPER = np.zeros(3), np.array([10.0, 10.0, 4.0])
 NEED = 0.25

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from flockopt import generate, plan
-from flockopt.certify import certify
-from flockopt.continuous import least_separation as closed_least_separation
-from flockopt.curve import Curve, Flight
-from flockopt.fcl_judge import least_separation
-from flockopt.planfile import Cost, Plan
+from flockopt.certificate import Cost, Plan
+from flockopt.certificate.fcl_engine import least_separation
+from flockopt.certificate.judge import certify
+from flockopt.flights import Curve, Flight
+from flockopt.geometry.continuous import least_separation as closed_least_separation
 from flockopt.scene import Bounds, Drone, Scene
-from flockopt.travel import compute_travel
+from flockopt.travel.compute import compute_travel
 from tests.mutation.mutations import cross, dip, hurry, move_anchor, mutate
 from tests.mutation.valid_plans import lane_scene, plan_of_lanes
 

@@ -8,14 +8,14 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 
 from flockopt import compute_travel, generate
-from flockopt.families import FAMILIES
-from flockopt.geometry import distances
-from flockopt.kernels import segment_distances
-from flockopt.nearness import make_space
+from flockopt.flights.waypoints import leg_clear
+from flockopt.geometry.distances import distances
+from flockopt.geometry.kernels import segment_distances
 from flockopt.scene import Box, Cylinder, Sphere
-from flockopt.trajectory.waypoints import leg_clear
-from learned.voxel_search import astar, center_of, dijkstra, make_grid, moves_of
-from learned.voxels import VoxelSettings, voxel_oracle
+from flockopt.scene.families.layouts import FAMILIES
+from flockopt.travel.blocking import make_space
+from learned.paths.voxel_search import astar, center_of, dijkstra, make_grid, moves_of
+from learned.paths.voxels import VoxelSettings, voxel_oracle
 from tests.flights import drone, make_scene
 
 OBSTACLES = (

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flockopt.travel import straight_travel
+from flockopt.travel.travel import straight_travel
 from tests.instances import random_instance, random_scene, with_cut_legs
 
 pytest.importorskip("torch")

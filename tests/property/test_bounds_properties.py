@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flockopt.allocate.bounds import lower_bound
-from flockopt.allocate.exact import solve_exact
 from flockopt.bundles import Bound
-from flockopt.proof import recompute_bound
+from flockopt.bundles.bounds.bounds import lower_bound
+from flockopt.bundles.exact.exact import solve_exact
+from flockopt.certificate.proof import recompute_bound
 from flockopt.scene import Scene, Task
-from flockopt.travel import straight_travel
+from flockopt.travel.travel import straight_travel
 from tests.instances import random_scene
 from tests.known.brute_force import least_travel
 

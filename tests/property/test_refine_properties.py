@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flockopt import refine_bundles
-from flockopt.travel import straight_travel
+from flockopt.travel.travel import straight_travel
 from tests.instances import random_scene
 
 SCENES = st.builds(

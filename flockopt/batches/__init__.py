@@ -1,0 +1,1 @@
+"""Batches: processes, threads, Dask or Ray; folders that a stopped run continues; progress."""

@@ -1,0 +1,107 @@
+"""Progress on stderr: a bar for counted work, a line for stages; where stderr is no terminal, a line now and then."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import Self
+
+__all__ = ["ProgressBar", "StageLine"]
+
+WIDTH = 24
+
+#: Work that ends sooner is not worth a word, seconds.
+PATIENCE_S = 1.0
+
+#: How often the line on a terminal is redrawn, seconds.
+REDRAW_S = 0.1
+
+#: Where stderr is no terminal, a line each time this share of the work is done.
+SHARE_A_LINE = 0.1
+
+
+class ProgressBar:
+    """Counts what is done.
+
+    Args:
+        total: How much there is to do.
+        done: How much of it was done before.
+    """
+
+    def __init__(self, total: int, done: int = 0) -> None:
+        self._total, self._done, self._before = total, done, done
+        self._begun, self._live = time.monotonic(), sys.stderr.isatty()
+        self._told = done
+        self._draw("")
+
+    def advance(self, words: str) -> None:
+        """One more is done; the words say which."""
+        self._done += 1
+        self._draw(words)
+
+    def note(self, words: str) -> None:
+        """A line of its own."""
+        print(f"{self._fresh()}{words}", file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """End the line."""
+        if self._live:
+            print(file=sys.stderr, flush=True)
+
+    def _draw(self, words: str) -> None:
+        share = self._done / self._total if self._total else 1.0
+        bar = ("#" * round(WIDTH * share)).ljust(WIDTH, ".")
+        text = f"[{bar}] {self._done}/{self._total} {self._left()} {words}".rstrip()
+        if self._live:
+            print(f"{self._fresh()}{text}", end="", file=sys.stderr, flush=True)
+        elif self._done - self._told >= SHARE_A_LINE * self._total or self._done == self._total:
+            print(text, file=sys.stderr, flush=True)
+            self._told = self._done
+
+    def _left(self) -> str:
+        made = self._done - self._before
+        if not made or self._done == self._total:
+            return ""
+        seconds = (time.monotonic() - self._begun) / made * (self._total - self._done)
+        return f"{seconds:.0f} s left"
+
+    def _fresh(self) -> str:
+        return "\r\x1b[K" if self._live else ""
+
+
+class StageLine:
+    """Call it with a stage and the fraction of the stage that is done; silent in the first second.
+
+    On a terminal one line is redrawn and wiped at the end; elsewhere each stage is one line.
+    """
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet, self._live = quiet, sys.stderr.isatty()
+        self._begun = time.monotonic()
+        self._drawn_at, self._width, self._stage = 0.0, 0, ""
+
+    def __call__(self, stage: str, fraction: float) -> None:
+        """Report that ``fraction`` (0 to 1) of ``stage`` is done."""
+        now = time.monotonic()
+        elapsed = now - self._begun
+        if self._quiet or elapsed < PATIENCE_S:
+            return
+        if self._live and now - self._drawn_at >= REDRAW_S:
+            self._redraw(f"{stage} {fraction:.0%}, {elapsed:.1f} s")
+            self._drawn_at = now
+        elif not self._live and stage != self._stage:
+            print(f"{stage}, {elapsed:.1f} s", file=sys.stderr, flush=True)
+        self._stage = stage
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None) -> None:
+        if self._width:
+            self._redraw("")
+            print("\r", end="", file=sys.stderr, flush=True)
+
+    def _redraw(self, line: str) -> None:
+        print(f"\r{line:<{self._width}}", end="", file=sys.stderr, flush=True)
+        self._width = len(line)

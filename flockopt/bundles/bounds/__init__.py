@@ -1,0 +1,1 @@
+"""Lower bounds on the travel of every allocation, with proofs."""

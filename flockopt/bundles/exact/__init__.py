@@ -1,0 +1,1 @@
+"""Proven optima: ng-route duals, enumeration of routes, HiGHS."""

@@ -1,0 +1,68 @@
+"""Why an allocation leaves tasks out, in words that name the task, the shortage and the mend."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flockopt.bundles.bundles import Bundles
+from flockopt.bundles.request import RouteTuple
+from flockopt.scene import Scene
+from flockopt.travel import Travel
+
+__all__ = ["LENGTH_TOLERANCE_M", "explained"]
+
+#: Slack on a drone's `max_distance`, metres: what summing legs in another order may lose.
+LENGTH_TOLERANCE_M = 1e-9
+
+#: How many tasks and reasons a reason names before it stops.
+MOST_NAMED = 5
+
+
+def explained(scene: Scene, travel: Travel, routes: RouteTuple) -> Bundles:
+    """Bundles of these routes: feasible, or infeasible with what is left over and why."""
+    served = {task for route in routes for task in route}
+    left = [task for task in range(scene.num_tasks) if task not in served]
+    faults = [_end_fault(scene, travel, drone) for drone, route in enumerate(routes) if not route]
+    faults = [fault for fault in faults if fault]
+    if not left and not faults:
+        return Bundles(routes)
+    short = scene.demands.sum() - scene.capacities.sum()
+    if short > 0:
+        faults.append(
+            f"the tasks demand {scene.demands.sum():g} and the fleet carries {scene.capacities.sum():g}: {short:g} too little; "
+            "add drones or raise capacities"
+        )
+    unserved = tuple((task, _task_fault(scene, travel, task, short > 0)) for task in left)
+    reasons = list(dict.fromkeys([*faults, *(reason for _, reason in unserved)]))
+    named = reasons[:MOST_NAMED] + ["..."] * (len(reasons) > MOST_NAMED)
+    return Bundles(routes, unserved, "infeasible", "; ".join(named))
+
+
+def _end_fault(scene: Scene, travel: Travel, drone: int) -> str:
+    """Why a drone without tasks cannot even fly to its end; empty if it can."""
+    record, length = scene.drones[drone], travel.start_end[drone]
+    if not np.isfinite(length):
+        return f"drones[{drone}] ({record.id}) has no way to its end; move the end"
+    if record.max_distance is not None and length > record.max_distance + LENGTH_TOLERANCE_M:
+        reach = f"its max_distance is {record.max_distance:g}"
+        return f"drones[{drone}] ({record.id}) is {length:g} m from its end and {reach}; raise it"
+    return ""
+
+
+def _task_fault(scene: Scene, travel: Travel, task: int, is_short: bool) -> str:
+    """Why no drone serves the task."""
+    head, demand = f"tasks[{task}] ({scene.tasks[task].id})", scene.demands[task]
+    if scene.capacities.max() == 0:
+        return f"{head} is left over; no drone has any capacity left; add drones"
+    if demand > scene.capacities.max():
+        return f"{head} demands {demand:g}, more than any capacity ({scene.capacities.max():g}); split it or raise a capacity"
+    able = scene.capacities >= demand
+    alone = np.where(able, travel.start_task[:, task] + travel.task_end[:, task], np.inf)  # (N,) m
+    if not np.isfinite(alone).any():
+        return f"{head} cannot be reached by any drone that can carry it; move it or the obstacles"
+    limits = np.array([np.inf if drone.max_distance is None else drone.max_distance for drone in scene.drones])
+    if not (alone <= limits + LENGTH_TOLERANCE_M).any():
+        return f"{head} is too far for every drone's max_distance (at least {alone.min():g} m); raise one"
+    if is_short:
+        return f"{head} is left over; the fleet is full"
+    return f"{head} is left over; no drone was found to have room for it; raise capacities or max_distance"

@@ -1,0 +1,138 @@
+"""`refine_bundles`: capacity-feasible ordered bundles from a scene, and from preferences where there are some."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from flockopt.bundles.bundles import Bundles
+from flockopt.bundles.explain import explained
+from flockopt.bundles.request import Request, checked_limits, checked_preferences, checked_routes
+from flockopt.errors import SettingsError
+from flockopt.records.arrays import FloatArray
+from flockopt.scene import Scene
+from flockopt.travel import Travel
+
+__all__ = ["METHODS", "refine_bundles"]
+
+#: What a preference of zero counts as, relative to the task's greatest.
+LEAST_PREFERENCE = 1e-6
+
+
+def refine_bundles(
+    scene: Scene,
+    task_probs: FloatArray | Sequence[Sequence[float]] | None = None,
+    *,
+    travel: Travel | None = None,
+    method: str = "search",
+    iterations: int | None = None,
+    time_limit_s: float | None = None,
+    seed: int = 0,
+    warm_start: Bundles | Sequence[Sequence[int]] | None = None,
+) -> Bundles:
+    """Which drone visits which tasks in which order, with little travel in all.
+
+    Each task is served once, capacities and ``max_distance`` are kept. Where that is impossible the status is
+    ``"infeasible"``: what was found to fit is served, and the other tasks are named with the reason.
+
+    Args:
+        scene: The scene.
+        task_probs: (N, M) preferences >= 0 of drones for tasks, such as an allocation head gives; of a column, only
+            ratios count. They steer where the search begins; what it then minimises is travel alone.
+        travel: Of the scene; computed when left out.
+        method: One of `METHODS`.
+        iterations: How long to search; equal seeds and iterations give equal bundles. Of ``cvrp``, solutions.
+        time_limit_s: When to stop, if earlier. With neither limit, a number of iterations that grows with the scene.
+        seed: Of the search.
+        warm_start: Bundles to begin with.
+
+    Raises:
+        SettingsError: If an argument is malformed; the message names it.
+    """
+    if method not in METHODS:
+        raise SettingsError("method", f"is {method!r}", f"must be one of {', '.join(METHODS)}", "choose one of them")
+    checked_limits(iterations, time_limit_s, seed)
+    preferences = checked_preferences(scene, task_probs)
+    routes = checked_routes(scene, warm_start)
+    if travel is None:
+        from flockopt.travel.compute import compute_travel
+
+        travel = compute_travel(scene)
+    if scene.num_tasks == 0:
+        return explained(scene, travel, ((),) * scene.num_drones)
+    return METHODS[method](Request(scene, travel, preferences, routes, iterations, time_limit_s, seed))
+
+
+def _by_search(request: Request) -> Bundles:
+    from flockopt.bundles.search.anneal import search
+    from flockopt.bundles.search.construct import build_problem
+
+    routes = search(
+        build_problem(request.scene, request.travel),
+        warm_start=request.warm_start,
+        preference=None if request.preferences is None else _as_detour(request.travel, request.preferences),
+        iterations=request.iterations,
+        time_limit_s=request.time_limit_s,
+        seed=request.seed,
+    )
+    return explained(request.scene, request.travel, routes)
+
+
+def _by_assignment(request: Request) -> Bundles:
+    """The transport polytope's best assignment, each drone's tasks put in order; preferences default to nearness."""
+    from flockopt.bundles.assignment import transport
+    from flockopt.bundles.tour import shortest_order
+
+    scene, travel = request.scene, request.travel
+    preferences = _nearness(travel) if request.preferences is None else request.preferences
+    able = np.isfinite(travel.start_task) & (scene.demands <= scene.capacities[:, None])
+    assignment = transport(scene, np.where(able, preferences, 0.0)).assignment & able
+    return explained(scene, travel, tuple(shortest_order(travel, i, np.flatnonzero(row)) for i, row in enumerate(assignment)))
+
+
+def _by_routing(request: Request) -> Bundles:
+    from flockopt.bundles.ortools_routing import route_with_ortools
+
+    routes = route_with_ortools(
+        request.scene,
+        request.travel,
+        warm_start=request.warm_start,
+        solutions=request.iterations,
+        time_limit_s=request.time_limit_s,
+    )
+    return explained(request.scene, request.travel, routes)
+
+
+def _exactly(request: Request) -> Bundles:
+    from flockopt.bundles.exact.exact import solve_exact
+
+    warm_start = Bundles(request.warm_start) if request.warm_start else None
+    return solve_exact(
+        request.scene, request.travel, warm_start=warm_start, time_limit_s=request.time_limit_s, seed=request.seed
+    ).bundles
+
+
+#: The ways to make bundles. Each imports its solver when called.
+METHODS: dict[str, Callable[[Request], Bundles]] = {
+    "search": _by_search,
+    "lp": _by_assignment,
+    "cvrp": _by_routing,
+    "exact": _exactly,
+}
+
+
+def _nearness(travel: Travel) -> FloatArray:
+    """(N, M) preferences that fall with the distance from a drone's start."""
+    legs = travel.start_task[np.isfinite(travel.start_task)]
+    longest_m = float(legs.max(initial=1.0))
+    return np.where(np.isfinite(travel.start_task), 1.0 - 0.999 * travel.start_task / longest_m, 0.0)
+
+
+def _as_detour(travel: Travel, preferences: FloatArray) -> FloatArray:
+    """(M, N) m: log-probabilities in metres, so that they weigh against travel."""
+    greatest = preferences.max(axis=0)
+    share = np.divide(preferences, greatest, out=np.ones_like(preferences), where=greatest > 0.0)
+    legs = travel.start_task[np.isfinite(travel.start_task)]
+    typical_m = float(np.median(legs)) if legs.size else 0.0
+    return np.ascontiguousarray(-typical_m * np.log(np.maximum(share, LEAST_PREFERENCE)).T)

@@ -1,0 +1,75 @@
+"""The judge: whether a plan does what its scene asks, at every instant, recomputed from the plan's polynomials.
+
+It trusts nothing a plan says of itself and imports no planner. Each clause reports its margin and where it is
+tightest (docs/certificate.md). Numbers are judged with the tolerances below, one per quantity.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flockopt.bundles import Bound
+from flockopt.certificate.case import Case, Worst, check_names
+from flockopt.certificate.certificate import CLAUSES, FLYABILITY, Certificate, Clause
+from flockopt.certificate.clauses import JUDGES, _in_space
+from flockopt.certificate.engines import ENGINES
+from flockopt.certificate.plan_file import Plan
+from flockopt.errors import SettingsError
+from flockopt.scene import Scene
+from flockopt.travel import Travel
+from flockopt.travel.compute import compute_travel
+
+__all__ = ["certify"]
+
+
+#: Curves that reach farther than this are not judged any further: rounding would decide.
+LARGEST_COORDINATE_M = 1e6
+
+#: Clauses that fail without a closer look where a curve does.
+IN_SPACE = ("visits", "limits", "bounds", "clearance", "separation", FLYABILITY)
+
+
+def certify(
+    scene: Scene, plan: Plan, *, travel: Travel | None = None, bound: Bound | None = None, engine: str = "closed-form"
+) -> Certificate:
+    """Judge a plan.
+
+    Args:
+        scene: The scene it is for.
+        plan: The plan; its status, cost and certificate are only claims.
+        travel: The scene's travel, if it is at hand; computed otherwise.
+        bound: What proves the plan's lower bound, where its certificate does not hold that yet.
+        engine: What finds the least clearance and separation: ``"closed-form"``, or ``"fcl"`` for python-fcl's distances.
+
+    Raises:
+        PlanError: If the plan is for another scene, or names a drone or a task that the scene does not have.
+        SettingsError: If there is no such engine.
+        MissingExtra: If python-fcl is asked for and not installed.
+    """
+    if engine not in ENGINES:
+        raise SettingsError("engine", f"is {engine!r}", f"must be one of {', '.join(ENGINES)}", "choose one")
+    check_names(scene, plan)
+    proof = bound if bound is not None else plan.certificate.bound if plan.certificate is not None else None
+    case = Case(scene, plan, compute_travel(scene) if travel is None else travel, proof)
+    judges = JUDGES | _in_space(engine)
+    names = CLAUSES if not any(drone.has_abilities for drone in scene.drones) else (*CLAUSES, FLYABILITY)
+    with np.errstate(over="ignore", invalid="ignore"):  # a hostile plan's overflows fail the clauses they are in
+        wild = _wild_drone(case)
+        clauses = (judges[name](case) if wild is None or name not in IN_SPACE else _wild(name, wild) for name in names)
+        return Certificate(tuple(clauses), proof)
+
+
+def _wild_drone(case: Case) -> str | None:
+    """A drone whose curve reaches beyond all measure."""
+    for drone, control in zip(case.scene.drones, case.controls, strict=True):
+        if not np.abs(control).max() <= LARGEST_COORDINATE_M:
+            return drone.id
+    return None
+
+
+def _wild(name: str, drone: str) -> Clause:
+    worst = Worst()
+    worst.see(-math.inf, drone=drone, detail=f"drone {drone} reaches beyond {LARGEST_COORDINATE_M:g} m")
+    return worst.clause(name, "m")

@@ -1,0 +1,155 @@
+"""What each command does: check everything, work, write, report."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flockopt.batches.progress import StageLine
+from flockopt.cli import text
+from flockopt.errors import MissingExtra, PlanError, SceneError, SettingsError
+from flockopt.records import files
+from flockopt.scene import Scene
+
+if TYPE_CHECKING:
+    from flockopt.certificate import Plan
+
+__all__ = ["export", "generate", "plan", "show", "verify"]
+
+
+def plan(options: argparse.Namespace) -> int:
+    """Plan a scene, write the plan, draw it if asked: 0 when certified, 1 when not."""
+    scene = _load_scene(options.scene)
+    _check_outputs([("--output", options.output), *(("--show", path) for path in options.show)], [options.scene])
+    for path in options.show:
+        _check_drawable("--show", path)
+    from flockopt.planning.pipeline import plan as plan_scene  # late: compiled code takes a second to load
+
+    with StageLine(quiet=options.quiet) as progress:
+        result = plan_scene(
+            scene,
+            planner=options.planner,
+            paths=options.paths,
+            time_limit_s=options.time_limit,
+            seed=options.seed,
+            bound=options.bound,
+            smoothing=options.smooth,
+            tracking_margin_m=options.tracking_margin,
+            progress=progress,
+        )
+        result.save(options.output)
+        for path in options.show:
+            progress(f"drawing {path}", 0.0)
+            _draw(scene, path, result)
+    if not options.quiet:
+        text.emit(text.plan_report(scene, result))
+    return 0 if result.status == "certified" else 1
+
+
+def verify(options: argparse.Namespace) -> int:
+    """Check a plan against its scene: 0 when every clause holds, 1 when not."""
+    scene, result = _load_scene(options.scene), _load_plan(options.plan)
+    from flockopt.certificate.judge import certify
+
+    certificate = certify(scene, result, engine=options.engine)
+    text.emit(text.certificate_report(certificate))
+    return 0 if certificate.certified else 1
+
+
+def show(options: argparse.Namespace) -> int:
+    """Draw a scene, or a plan in its scene."""
+    scene = _load_scene(options.scene)
+    result = None if options.plan is None else _load_plan(options.plan)
+    if result is not None and result.scene_sha256 != scene.sha256:
+        seen, rule = f"is {result.scene_sha256}", f"must be {scene.sha256}, the digest of {options.scene}"
+        raise PlanError(f"{options.plan}: scene.sha256", seen, rule, "show the scene that the plan was made for")
+    inputs = [path for path in (options.scene, options.plan) if path is not None]
+    _check_outputs([("--output", options.output)], inputs)
+    _check_drawable("--output", options.output)
+    _draw(scene, options.output, result)
+    return 0
+
+
+def generate(options: argparse.Namespace) -> int:
+    """Make a scene from a family's name and a seed."""
+    from flockopt.scene.families.generate import generate as generate_scene
+
+    _check_outputs([("--output", options.output)], [])
+    scene = generate_scene(options.family, drones=options.drones, tasks=options.tasks, seed=options.seed)
+    scene.save(options.output)
+    return 0
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write a plan for real drones: 0 when written, 1 when it does not fit them."""
+    result = _load_plan(options.plan)
+    scene = None if options.scene is None else _load_scene(options.scene)
+    from flockopt.outputs.devices.export import export as export_plan
+
+    try:
+        outcome = export_plan(result, to=options.to, path=options.output, scene=scene)
+    except SettingsError as fault:
+        option = "--scene" if fault.field == "scene" else "--output"
+        raise type(fault)(option, fault.value, fault.rule, fault.mend) from None
+    except SceneError as fault:
+        raise _in_file(fault, options.scene) from None
+    except PlanError as fault:
+        raise _in_file(fault, options.plan) from None
+    text.emit(text.export_report(result, options.output, outcome))
+    return 1 if outcome.misfits else 0
+
+
+def _load_scene(path: str) -> Scene:
+    try:
+        return Scene.load(path)
+    except SceneError as fault:
+        raise _in_file(fault, path) from None
+
+
+def _load_plan(path: str) -> Plan:
+    from flockopt.certificate import Plan
+
+    try:
+        return Plan.load(path)
+    except PlanError as fault:
+        raise _in_file(fault, path) from None
+
+
+def _in_file(fault: SceneError | PlanError, path: str) -> SceneError | PlanError:
+    """The same error with its file named, unless it is about the file as a whole and names it already."""
+    if not fault.field and path in fault.value:
+        return fault
+    return type(fault)(f"{path}: {fault.field}" if fault.field else path, fault.value, fault.rule, fault.mend)
+
+
+def _check_outputs(outputs: Sequence[tuple[str, str]], inputs: Sequence[str]) -> None:
+    """Every output can be written, and none is an input or another output."""
+    taken = {os.path.realpath(path): path for path in inputs}
+    for option, path in outputs:
+        try:
+            target = str(files.check_output(SettingsError, path))
+        except SettingsError as fault:
+            raise fault.within(option) from None
+        if target in taken:
+            raise SettingsError(option, f"is {path}", f"must not be {taken[target]} as well", "choose another path")
+        taken[target] = path
+
+
+def _check_drawable(option: str, path: str) -> None:
+    from flockopt.outputs.pictures.drawing import SUFFIXES
+
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SettingsError(option, f"is {path}", f"must end in {' or '.join(SUFFIXES)}", "choose one of the two")
+    if suffix == ".png" and find_spec("matplotlib") is None:
+        raise MissingExtra("matplotlib", "show")
+
+
+def _draw(scene: Scene, path: str, result: Plan | None) -> None:
+    from flockopt.outputs.pictures.drawing import show as draw
+
+    draw(scene, path=path, plan=result)

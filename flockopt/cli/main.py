@@ -1,0 +1,208 @@
+"""The command line: what it accepts, and what its exit statuses mean."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import re
+import sys
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from flockopt.errors import FlockError, SettingsError
+
+__all__ = ["main"]
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+STATUSES = """exit status: 0 all is well; 1 the plan is not certified, the scene is infeasible, or the plan does not fit the
+device (the output says why); 2 bad input (one line on stderr says what and how to mend it; nothing is written)"""
+
+PLAN_EXAMPLES = """examples:
+  flockopt plan scene.json -o plan.json
+  flockopt plan scene.json -o plan.json --show plan.png --show plan.html
+  flockopt plan scene.json -o plan.json --time-limit 5 --bound tight --seed 3"""
+
+VERIFY_EXAMPLES = """Nothing in the plan's own certificate is believed: coverage, capacities, limits, clearances,
+separations and the lower bound are computed anew, in continuous time, from the scene and the plan's polynomials.
+
+examples:
+  flockopt verify scene.json plan.json
+  flockopt verify scene.json plan.json --engine fcl    clearance and separation by python-fcl's distances"""
+
+SHOW_EXAMPLES = """examples:
+  flockopt show scene.json -o scene.png
+  flockopt show scene.json plan.json -o plan.png     top view, altitude, least distances over time
+  flockopt show scene.json plan.json -o plan.html    a page that plays the flight, without a network"""
+
+GENERATE_EXAMPLES = """examples:
+  flockopt generate forest --drones 10 --tasks 20 --seed 0 -o forest.json
+  flockopt generate city --drones 6 --tasks 40 --seed 7 -o city.json"""
+
+EXPORT_EXAMPLES = """examples:
+  flockopt export plan.json --to crazyswarm2 -o fleet                          a CSV a drone, crazyflies.yaml
+  flockopt export plan.json --to qgroundcontrol --scene scene.json -o fleet    a mission a drone"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are one line, as all others of flockopt are."""
+
+    def error(self, message: str) -> NoReturn:
+        words = re.sub(r"^argument ([^:]+): (?=is )", r"\1 ", message)
+        words = re.sub(r"^argument ([^:]+): invalid choice: (.*) \(choose from (.*)\)$", r"\1 is \2; must be one of \3", words)
+        raise SettingsError("", words, "", f"see {self.prog} --help")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        argv: The arguments after the program's name; the process's own by default.
+
+    Returns:
+        The exit status: 0, 1 or 2 as in docs/formats.md, 130 when interrupted.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        options = _parser().parse_args(argv)
+        status: int = options.run(options)
+    except FlockError as fault:
+        return _refuse(str(fault), BAD_INPUT)
+    except KeyboardInterrupt:
+        return _refuse("interrupted; no output was written after this point", INTERRUPTED)
+    return status
+
+
+def _refuse(message: str, status: int) -> int:
+    from flockopt.cli.text import printable
+
+    print(f"flockopt: {printable(message)}", file=sys.stderr)
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    from flockopt.cli import commands as work
+
+    parser = _Parser(
+        prog="flockopt", description="Plan drone fleets, with a certificate that anyone can check again.", epilog=STATUSES
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(title="commands", dest="command", required=True, metavar="COMMAND")
+
+    _add_plan(commands)
+    verify = _command(commands, "verify", "check a plan anew, clause by clause", VERIFY_EXAMPLES, work.verify)
+    verify.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
+    verify.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file")
+    verify.add_argument(
+        "--engine", default="closed-form", metavar="NAME", choices=("closed-form", "fcl"),
+        help="what measures clearance and separation: closed-form or fcl (default: closed-form)",
+    )  # fmt: skip
+
+    show = _command(commands, "show", "draw a scene or a plan", SHOW_EXAMPLES, work.show)
+    show.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
+    show.add_argument("plan", metavar="PLAN", nargs="?", help="a flockopt.plan/1 file")
+    show.add_argument("-o", "--output", required=True, metavar="FILE", help="a .png picture or an .html page")
+
+    generate = _command(commands, "generate", "make a scene from a family", GENERATE_EXAMPLES, work.generate)
+    generate.add_argument("family", metavar="FAMILY", help="forest, corridor, warehouse, rooms or city")
+    generate.add_argument("--drones", type=_whole(1), default=10, metavar="N", help="how many (default: 10)")
+    generate.add_argument("--tasks", type=_whole(0), default=20, metavar="M", help="how many (default: 20)")
+    generate.add_argument("--seed", type=_whole(0), default=0, metavar="K", help="same seed, same scene (default: 0)")
+    generate.add_argument("-o", "--output", required=True, metavar="SCENE", help="where to write the scene")
+
+    export = _command(commands, "export", "write a plan for real drones", EXPORT_EXAMPLES, work.export)
+    export.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file")
+    export.add_argument(
+        "--to", required=True, metavar="DEVICE", choices=("crazyswarm2", "qgroundcontrol"),
+        help="for which device: crazyswarm2 or qgroundcontrol",
+    )  # fmt: skip
+    export.add_argument("--scene", metavar="SCENE", help="the plan's scene; qgroundcontrol needs it, with its origin")
+    export.add_argument("-o", "--output", required=True, metavar="DIR", help="a new or empty directory, or an earlier export")
+    return parser
+
+
+def _add_plan(commands: argparse._SubParsersAction) -> None:
+    """The command ``plan`` and its options."""
+    from flockopt.cli import commands as work
+
+    plan = _command(commands, "plan", "plan a scene: routes, trajectories, certificate", PLAN_EXAMPLES, work.plan)
+    plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
+    plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
+    plan.add_argument(
+        "--planner", metavar="NAME", help="which planner (default: hybrid where its weights and torch are, else classical)"
+    )
+    plan.add_argument(
+        "--paths", default="any-angle", metavar="KIND",
+        help="what drones fly along: any-angle, the shortest (default); some planners also know voxel26 and voxel6",
+    )  # fmt: skip
+    plan.add_argument("--time-limit", type=_seconds, metavar="S", help="seconds the whole plan may take (default: no limit)")
+    plan.add_argument("--seed", type=_whole(0), default=0, metavar="N", help="same seed, same plan (default: 0)")
+    plan.add_argument(
+        "--bound", default="tight", metavar="KIND", choices=("fast", "tight", "exact"),
+        help="how hard to work for the lower bound: fast, tight or exact (default: tight)",
+    )  # fmt: skip
+    plan.add_argument("--smooth", action="store_true", help="smooth the flights: done earlier, with less jerk (needs casadi)")
+    plan.add_argument(
+        "--tracking-margin", type=_metres, default=0.0, metavar="M",
+        help="how far drones may stray in flight, metres: keep that much more clearance and twice that much more separation "
+        "where there is room (default: 0)",
+    )  # fmt: skip
+    plan.add_argument("--show", action="append", default=[], metavar="FILE", help="draw it too: .png or .html; repeatable")
+    plan.add_argument("--quiet", action="store_true", help="print no table and no progress")
+
+
+def _command(
+    commands: argparse._SubParsersAction, name: str, summary: str, examples: str, run: Callable[[argparse.Namespace], int]
+) -> argparse.ArgumentParser:
+    raw = argparse.RawDescriptionHelpFormatter
+    command: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=summary, epilog=f"{examples}\n\n{STATUSES}", formatter_class=raw
+    )
+    command.set_defaults(run=run)
+    return command
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when asked."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        import flockopt
+
+        print(f"flockopt {flockopt.__version__}")
+        parser.exit()
+
+
+def _whole(least: int) -> Callable[[str], int]:
+    def convert(words: str) -> int:
+        try:
+            value = int(words)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(f"is {words!r}; must be an integer >= {least}; give a whole number")
+        return value
+
+    return convert
+
+
+def _metres(words: str) -> float:
+    try:
+        value = float(words)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"is {words!r}; must be a finite number of metres >= 0; leave it out for none")
+    return value
+
+
+def _seconds(words: str) -> float:
+    try:
+        value = float(words)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"is {words!r}; must be a finite number of seconds > 0; leave it out for no limit")
+    return value

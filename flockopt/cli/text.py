@@ -1,0 +1,116 @@
+"""What the commands print: tables for people."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flockopt.certificate import Certificate, Clause, Plan
+    from flockopt.outputs.devices.export import Export
+    from flockopt.scene import Scene
+
+__all__ = ["certificate_report", "emit", "export_report", "plan_report", "printable"]
+
+
+def emit(text: str) -> None:
+    """Print to stdout; a reader who has left (``| head``) is no error."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        # Python flushes stdout once more when it exits, and must find somewhere to put it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def printable(text: str) -> str:
+    """The text on one line, with control characters (which a hostile file may hold) written as escapes."""
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
+    """Columns as wide as they need; those whose index is in ``right`` are set to the right."""
+    lines = [[printable(text) for text in line] for line in (header, *rows)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
+    lines.insert(1, ["-" * width for width in widths])
+    return "\n".join(
+        "  ".join(
+            text.rjust(width) if column in right else text.ljust(width)
+            for column, (text, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
+
+
+def plan_report(scene: Scene, plan: Plan) -> str:
+    """Per drone its tasks, metres and seconds; then cost, bound and gap; then the certificate."""
+    parts = [_drone_table(scene, plan)] if plan.status != "infeasible" else []
+    if plan.unserved:
+        parts.append(table(("unserved task", "reason"), sorted(plan.unserved.items())))
+    if plan.status != "infeasible":
+        parts.append(_cost_lines(plan))
+    if plan.certificate is not None:
+        parts.append(certificate_report(plan.certificate))
+    if plan.status == "infeasible":
+        parts.append(printable(f"infeasible: {plan.reason}"))
+    parts.append(printable(f"{scene.name}, planned in {plan.timing.get('total', 0.0):.2f} s by {plan.planner}"))
+    return "\n\n".join(parts)
+
+
+def _drone_table(scene: Scene, plan: Plan) -> str:
+    rows = []
+    for drone in scene.drones:
+        flight = plan.flights.get(drone.id)
+        metres, seconds = (flight.curve.length, flight.curve.end_time) if flight is not None else (0.0, 0.0)
+        route = plan.routes.get(drone.id, ())
+        rows.append((drone.id, str(len(route)), f"{metres:.2f}", f"{seconds:.2f}", " ".join(route)))
+    return table(("drone", "tasks", "metres", "seconds", "in this order"), rows, right=(1, 2, 3))
+
+
+def _cost_lines(plan: Plan) -> str:
+    cost = plan.cost
+    bound = "none" if cost.lower_bound is None else f"{cost.lower_bound:.2f} m"
+    gap = "none" if cost.gap is None else f"{cost.gap:.2%}"
+    return "\n".join(
+        (
+            f"length    {cost.length:.2f} m flown in {cost.makespan:.2f} s",
+            f"cost      {cost.travel:.2f} m of travel",
+            f"bound     {bound}",
+            f"gap       {gap}",
+        )
+    )
+
+
+def certificate_report(certificate: Certificate) -> str:
+    """One row per clause: does it hold, by how much, and where it is tightest; then the verdict."""
+    rows = []
+    for clause in certificate.clauses:
+        tightest = "; ".join(words for words in (clause.where, clause.detail) if words)
+        rows.append((clause.name, "holds" if clause.holds else "FAILS", _margin(clause), tightest))
+    return table(("clause", "", "margin", "tightest"), rows, right=(2,)) + "\n\n" + _verdict(certificate)
+
+
+def export_report(plan: Plan, path: str, outcome: Export) -> str:
+    """What was written where, or what does not fit; and a warning where the plan is not certified."""
+    if outcome.misfits:
+        lines = [*outcome.misfits, "nothing was written"]
+    else:
+        lines = [f"{path}: {', '.join(outcome.files)}"]
+        if plan.status != "certified":
+            lines.append(f"warning: the plan is {plan.status}; do not fly it before `flockopt verify` holds")
+    return "\n".join(printable(line) for line in lines)
+
+
+def _verdict(certificate: Certificate) -> str:
+    if certificate.certified:
+        return "certified: every clause holds"
+    return f"not certified: {', '.join(clause.name for clause in certificate.failed)} failed"
+
+
+def _margin(clause: Clause) -> str:
+    """What is left before a clause fails: fractions in per cent; nothing to check has no margin."""
+    if not math.isfinite(clause.margin):
+        return "-"
+    return f"{clause.margin:.1%}" if clause.unit == "fraction" else f"{clause.margin:.4g} {clause.unit}"

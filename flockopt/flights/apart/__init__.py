@@ -1,0 +1,1 @@
+"""Flights kept apart from each other, by waiting and by detours."""

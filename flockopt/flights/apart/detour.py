@@ -1,0 +1,177 @@
+"""Other ways for drones that stand in each other's way: flying around, and moving on to a free spot."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from itertools import pairwise
+
+import numpy as np
+
+from flockopt.bundles import Bundles
+from flockopt.flights import Flight
+from flockopt.flights.decode import fly
+from flockopt.flights.waypoints import Waypoints, waypoints_from_paths
+from flockopt.geometry.distances import SPHERE, bounding_boxes, distances
+from flockopt.records.arrays import FloatArray
+from flockopt.scene import Scene
+from flockopt.travel import Travel
+from flockopt.travel.roadmap import Roadmap
+
+__all__ = ["Detours"]
+
+#: Room kept around what is flown around, and around a free spot, metres.
+DETOUR_RESERVE_M = 5e-3
+
+#: Distances at which a free spot is looked for, in separations, and directions a ring.
+SPOT_RINGS = (1.1, 1.5, 2.0, 3.0, 5.0, 8.0)
+SPOT_DIRECTIONS = 12
+
+
+class Detours:
+    """The geometry of a fleet's flights as repairs change it.
+
+    Args:
+        scene: The scene.
+        bundles: The drones' routes.
+        travel: The paths behind them.
+        airborne: Ids of drones that may make way although they have no capacity.
+    """
+
+    def __init__(self, scene: Scene, bundles: Bundles, travel: Travel, airborne: Collection[str] = ()) -> None:
+        self.scene, self.bundles, self.travel, self.airborne = scene, bundles, travel, airborne
+        self.avoided: dict[int, list[FloatArray]] = {}
+        self.spots: dict[int, FloatArray] = {}
+
+    def resolve(
+        self, drone: int, blocker: int, curves: list[tuple[FloatArray, FloatArray]], meeting_s: float
+    ) -> tuple[int, Flight] | None:
+        """A new flight for one of two drones that no timing keeps apart, or None when nothing is left to try.
+
+        Args:
+            drone: The drone that finds no time to fly.
+            blocker: Who stands in its way to the last.
+            curves: Breakpoints and coefficients of all drones.
+            meeting_s: When the two first meet if both set off at once; -1 if they don't.
+        """
+        parking = _position(curves[blocker], np.inf)
+        if self._inside(self._anchors(drone), parking).any():
+            if blocker not in self.spots and self._may_move_on(blocker):
+                spot = self._free_spot(blocker, parking, curves)
+                flight = None if spot is None else self._onward(blocker, spot)
+                if flight is not None:
+                    return blocker, flight
+        else:
+            flight = self._around(drone, parking)
+            if flight is not None:
+                return drone, flight
+        if meeting_s < 0.0:
+            return None
+        for one, other in ((drone, blocker), (blocker, drone)):
+            flight = self._around(one, _position(curves[other], meeting_s)) if self.bundles[one] else None
+            if flight is not None:
+                return one, flight
+        return None
+
+    def _anchors(self, drone: int) -> FloatArray:
+        """Start, tasks and end of a drone, and its free spot if it has one: (K, 3) m."""
+        end = self.scene.ends[drone : drone + 1]
+        anchors = [self.scene.starts[drone : drone + 1], self.scene.task_positions[list(self.bundles[drone])]]
+        anchors += [end] if not np.isnan(end).any() else []
+        return np.vstack(anchors + ([self.spots[drone][None]] if drone in self.spots else []))
+
+    def _inside(self, points: FloatArray, center: FloatArray) -> FloatArray:
+        """Which points are within the separation of ``center``, the reserve included."""
+        axes = np.array(self.scene.separation_axes) + DETOUR_RESERVE_M
+        return np.asarray(np.linalg.norm((points - center) / axes, axis=-1) < 1.0)
+
+    def _around(self, drone: int, center: FloatArray) -> Flight | None:
+        """The drone's flight around everything it is to avoid and ``center`` too; None if there is no such way."""
+        avoided = self.avoided.setdefault(drone, [])
+        if self._inside(self._anchors(drone), center).any() or any(np.allclose(center, known) for known in avoided):
+            return None
+        avoided.append(center)
+        waypoints = self._waypoints(drone)
+        if waypoints is None:
+            avoided.pop()
+            return None
+        return fly(self.scene, self.scene.drones[drone], waypoints, self._balls(drone))
+
+    def _onward(self, drone: int, spot: FloatArray) -> Flight | None:
+        """The drone's flight with a last leg on to a free spot; None if what it avoids closes the way there."""
+        self.spots[drone] = spot
+        waypoints = self._waypoints(drone)
+        if waypoints is None:
+            del self.spots[drone]
+            return None
+        return fly(self.scene, self.scene.drones[drone], waypoints, self._balls(drone))
+
+    def _balls(self, drone: int) -> FloatArray:
+        """What the drone is to avoid, as obstacle rows: balls that hold the separation's ellipsoid."""
+        body = self.scene.drones[drone].radius + self.scene.clearance
+        radius = max(max(self.scene.separation_axes) - body, 0.0) + DETOUR_RESERVE_M
+        return np.array([(SPHERE, *center, *(radius,) * 3, 1.0, 0.0) for center in self.avoided.get(drone, [])]).reshape(-1, 9)
+
+    def _waypoints(self, drone: int) -> Waypoints | None:
+        """The drone's waypoints with legs led around what it avoids, and on to its free spot; None if there is no way."""
+        route = self.bundles[drone]
+        legs = self._legs(drone, waypoints_from_paths(self.scene, self.travel, drone, route), route)
+        balls = self._balls(drone)
+        if drone in self.spots:
+            legs.append(np.vstack([legs[-1][-1] if legs else self.scene.starts[drone], self.spots[drone]]))
+        if not legs:  # it only comes to a halt
+            return None
+        if len(balls):
+            roadmap = self._roadmap(drone, balls)
+            legs = [roadmap.path(leg[0], leg[-1])[1] for leg in legs]
+            if any(len(leg) == 0 for leg in legs):
+                return None
+        return Waypoints.join(self.scene, route, legs)
+
+    def _legs(self, drone: int, waypoints: Waypoints, route: tuple[int, ...]) -> list[FloatArray]:
+        """The drone's way split where it serves tasks."""
+        cuts = [0] + [k for k, tasks in enumerate(waypoints.tasks) for _ in tasks]
+        if cuts[-1] < len(waypoints.points) - 1:
+            cuts.append(len(waypoints.points) - 1)
+        return [waypoints.points[a : b + 1] for a, b in pairwise(cuts)]
+
+    def _roadmap(self, drone: int, balls: FloatArray) -> Roadmap:
+        table = np.vstack([self.scene.obstacle_table, balls])
+        need = self.scene.drones[drone].radius + self.scene.clearance
+        return Roadmap(table, np.full(len(table), need + 1e-6), (self.scene.bounds.lower, self.scene.bounds.upper))
+
+    def _may_move_on(self, drone: int) -> bool:
+        """Whether a drone may leave the place where it would park: it has no end and is not grounded."""
+        record = self.scene.drones[drone]
+        return record.end is None and (record.capacity > 0 or record.id in self.airborne)
+
+    def _free_spot(self, drone: int, parking: FloatArray, curves: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
+        """The nearest place, straight from ``parking``, where the drone stands in nobody's way."""
+        axes = np.array(self.scene.separation_axes)
+        angles = np.arange(SPOT_DIRECTIONS) * 2 * np.pi / SPOT_DIRECTIONS
+        ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(SPOT_DIRECTIONS)])
+        tilted = [ring * np.cos(tilt) + np.array([0.0, 0.0, np.sin(tilt)]) for tilt in (0.0, 0.7, -0.7, 1.4, -1.4)]
+        candidates = parking + np.vstack([distance * np.vstack(tilted) for distance in SPOT_RINGS]) * axes
+        taken = [self._anchors(other) for other in range(self.scene.num_drones) if other != drone]
+        taken.append(np.array([_position(curves[other], np.inf) for other in range(self.scene.num_drones) if other != drone]))
+        free = ((candidates >= self.scene.bounds.lower) & (candidates <= self.scene.bounds.upper)).all(axis=1)
+        for point in np.vstack(taken):
+            free &= np.logical_not(self._inside(candidates, point))
+        free &= self._straight_ways(drone, parking, candidates)
+        return candidates[int(free.argmax())] if free.any() else None
+
+    def _straight_ways(self, drone: int, parking: FloatArray, candidates: FloatArray) -> FloatArray:
+        from flockopt.geometry.kernels import segment_clear
+
+        table = self.scene.obstacle_table
+        need = self.scene.drones[drone].radius + self.scene.clearance
+        slack = distances(table, parking).min(initial=np.inf) - need
+        needs = np.full(len(table), need + max(min(DETOUR_RESERVE_M, 0.5 * slack), 0.0))
+        return np.array([segment_clear(table, bounding_boxes(table), needs, parking, spot) for spot in candidates])
+
+
+def _position(curve: tuple[FloatArray, FloatArray], time: float) -> FloatArray:
+    """Where a drone is at a time of its own clock, metres; it holds still before and after."""
+    breakpoints, coefficients = curve
+    inside = min(max(time, breakpoints[0]), breakpoints[-1])
+    piece = min(max(int(np.searchsorted(breakpoints, inside, side="right")) - 1, 0), len(coefficients) - 1)
+    return np.asarray(coefficients[piece] @ (inside - breakpoints[piece]) ** np.arange(coefficients.shape[2]))

@@ -1,0 +1,1 @@
+"""What becomes of a plan: pictures, and files for real drones."""

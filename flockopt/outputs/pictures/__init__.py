@@ -1,0 +1,1 @@
+"""Pictures of scenes and plans, and a page that plays the flight."""

@@ -1,0 +1,293 @@
+"""Replanning from flight: tasks come and go, drones are lost, and the fleet flies on.
+
+The old plan is flown, unchanged and certified, until the swap, a short freeze after the events. From there on a new
+plan holds, for a new scene: drones start where the old curves have brought them, with their velocity and
+acceleration, so the splice is C2; only open tasks are left, and the new plan has a certificate of its own. Drones
+whose route stays the same keep the very curve they fly. Nothing uncertified is swapped in: where no new plan is
+certified, the old one goes on as far as the events allow, and what it cannot serve is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from time import perf_counter
+
+import numpy as np
+
+from flockopt.bundles import Bundles
+from flockopt.bundles.bounds.bounds import lower_bound
+from flockopt.bundles.refine import refine_bundles
+from flockopt.certificate import Plan
+from flockopt.certificate.judge import certify
+from flockopt.errors import SceneError, SettingsError
+from flockopt.flights import Flight
+from flockopt.flights.apart.deconflict import Deconflicted, deconflict
+from flockopt.flights.decode import fly
+from flockopt.flights.waypoints import SAME_POINT_M, Waypoints, waypoints_from_paths
+from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.planning.handover import Changes, Situation, hand_over
+from flockopt.planning.margins import margins, roomier
+from flockopt.records import checks
+from flockopt.scene import Scene
+from flockopt.travel import Travel
+from flockopt.travel.compute import compute_travel
+
+__all__ = ["Changes", "Replanned", "replan"]
+
+#: Seconds between an event and the swap: what replanning may take while the old plan is flown on.
+FREEZE_S = 0.3
+
+#: How often the swap is put off by another freeze where rounding makes the moment no valid scene.
+MOST_SWAPS = 5
+
+#: Iterations of the search, which starts from bundles that were good a moment ago.
+ITERATIONS = 600
+
+#: A new allocation must save this share of the travel to be worth changing what drones are about to do.
+WORTH_CHANGING = 0.01
+
+#: Strategies that may lead a drone another way although its tasks are the same.
+ANEW = ("new", "old")
+
+#: Rests tried at the first waypoint of drones that meet others and cannot wait where they are, for they fly; seconds.
+RESTS_S = (0.0, 1.0, 2.0, 4.0, 7.0)
+
+
+@dataclass(frozen=True)
+class Replanned:
+    """The answer to an event.
+
+    Attributes:
+        scene: What is left to do from the swap on: drones as they fly, the tasks that the plan serves.
+        plan: The plan for that scene; its t = 0 is the swap. Swap only if it is ``certified``.
+        swap_s: When to swap, seconds on the old plan's clock.
+        unserved: Reason by id of every open task that is left out.
+        strategy: ``"new"`` bundles; the ``"old"`` ones with open tasks inserted, or ``"appended"`` to be served after all
+            others from rest; or the old ones ``"kept"`` as they were; ``"none"`` if there was no moment to swap at.
+        seconds: How long replanning took.
+    """
+
+    scene: Scene
+    plan: Plan
+    swap_s: float
+    unserved: dict[str, str]
+    strategy: str
+    seconds: float
+
+
+def replan(
+    scene: Scene,
+    plan: Plan,
+    now_s: float,
+    changes: Changes,
+    *,
+    seed: int = 0,
+    freeze_s: float = FREEZE_S,
+    tracking_margin_m: float = 0.0,
+    airborne: Collection[str] = (),
+) -> Replanned:
+    """A certified plan from flight after something has happened.
+
+    Args:
+        scene: The scene of the plan being flown.
+        plan: The certified plan being flown.
+        now_s: Seconds on its clock, >= 0.
+        changes: What has happened.
+        seed: Of the search.
+        freeze_s: Seconds the old plan is flown on before the swap, >= 0; 0 suits a fleet that has not taken off.
+        tracking_margin_m: Room that new flights keep for tracking errors, metres, as in `flockopt.planning.pipeline.plan`.
+        airborne: Ids of drones that hover, as far as the plan does not tell by giving them flights: they may make way even if
+            they have no capacity left, while a drone that never had any is grounded.
+
+    Raises:
+        SettingsError: If the plan is not certified or for another scene, a time is out of range, or a change names
+            what is not there.
+        SceneError: If a new task is not valid in the scene.
+    """
+    began = perf_counter()
+    _check(scene, plan, now_s, changes, freeze_s)
+    margin_m = checks.number(SettingsError, "tracking_margin_m", tracking_margin_m, least=0.0)
+    handed_over = _situation(scene, plan, now_s, changes, freeze_s)
+    if handed_over is None:
+        return Replanned(scene, replace(plan, status="uncertified"), now_s, {}, "none", perf_counter() - began)
+    situation, swap_s = handed_over
+    hovering = {*airborne, *plan.flights}
+    travel = compute_travel(situation.scene)
+    for strategy, bundles in _proposals(situation, travel, seed):
+        left, result, unserved = _finish(situation, travel, bundles, strategy, margin_m, hovering)
+        if result.status == "certified":
+            break
+    return Replanned(left, result, swap_s, situation.unreachable | unserved, strategy, perf_counter() - began)
+
+
+def _check(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: float) -> None:
+    if plan.scene_sha256 != scene.sha256:
+        raise SettingsError(
+            "plan", f"is for scene {plan.scene_sha256[:12]}", f"must be for {scene.sha256[:12]}", "plan this scene"
+        )
+    if plan.status != "certified":
+        raise SettingsError("plan", f"is {plan.status}", "only a certified plan is flown on", "plan the scene first")
+    if not 0.0 <= now_s < np.inf:
+        raise SettingsError("now_s", f"is {now_s!r}", "must be seconds >= 0 on the plan's clock", "correct it")
+    if not 0.0 <= freeze_s < np.inf:
+        raise SettingsError("freeze_s", f"is {freeze_s!r}", "must be seconds >= 0", "give replanning some time")
+    drones, tasks = {drone.id for drone in scene.drones}, {task.id for task in scene.tasks}
+    for field, names, known in (
+        ("removed", changes.removed, tasks),
+        ("lost", changes.lost, drones),
+        ("late", changes.late, drones),
+        ("missed", changes.missed, tasks),
+    ):
+        for name in names:
+            if name not in known:
+                raise SettingsError(field, f"names {name!r}", "must name what is in the scene", "correct its spelling")
+    if drones <= set(changes.lost):
+        raise SettingsError("lost", "names every drone", "somebody must be left to fly", "there is nothing to plan")
+
+
+def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: float) -> tuple[Situation, float] | None:
+    """The situation at the first moment after the freeze that is a valid scene, and that moment; None if there is none."""
+    scene.replace(tasks=(*scene.tasks, *changes.added))  # a bad new task is the caller's fault, not the moment's
+    for attempt in range(1, MOST_SWAPS + 1):
+        swap_s = now_s + attempt * freeze_s
+        try:
+            return hand_over(scene, plan, swap_s, changes, now_s), swap_s
+        except SceneError:
+            continue
+        except SettingsError:
+            if attempt == 1:
+                raise
+            break  # by now a drone that is late would be in motion
+    return None
+
+
+def _proposals(situation: Situation, travel: Travel, seed: int) -> Iterator[tuple[str, Bundles]]:
+    """Bundles to try, the most wanted first; the old ones, untouched, come last."""
+    old = refine_bundles(situation.scene, travel=travel, iterations=0, seed=seed, warm_start=situation.routes)
+    new = refine_bundles(situation.scene, travel=travel, iterations=ITERATIONS, seed=seed, warm_start=old)
+    saves = travel.total(new.routes) < (1.0 - WORTH_CHANGING) * travel.total(old.routes)
+    if saves or len(new.unserved) < len(old.unserved):
+        yield "new", new
+    yield "old", old
+    yield "appended", _appended(situation, travel)
+    served = {task for route in situation.routes for task in route}
+    reason = "no certified plan that serves it was found from flight; ask again later"
+    left = tuple((task, reason) for task in range(situation.scene.num_tasks) if task not in served)
+    yield "kept", Bundles(situation.routes, left)
+
+
+def _appended(situation: Situation, travel: Travel) -> Bundles:
+    """The old bundles, each open task put behind the drone's last one where that is shortest."""
+    scene, routes = situation.scene, [list(route) for route in situation.routes]
+    may_append = [_stops_at_last_task(situation, index) for index in range(scene.num_drones)]
+    left = []
+    for task in sorted(set(range(scene.num_tasks)) - {task for route in routes for task in route}):
+        longer = [
+            travel.route_length(index, [*route, task]) - travel.route_length(index, route)
+            if may_append[index] and scene.drones[index].capacity >= scene.demands[[*route, task]].sum()
+            else np.inf
+            for index, route in enumerate(routes)
+        ]
+        if np.isfinite(min(longer)):
+            routes[int(np.argmin(longer))].append(task)
+        else:
+            left.append((task, "no drone has capacity left to serve it after its other tasks; add a drone"))
+    return Bundles(tuple(tuple(route) for route in routes), tuple(left))
+
+
+def _stops_at_last_task(situation: Situation, index: int) -> bool:
+    """Whether more tasks can follow the drone's old flight: it rests at its last task or never took off."""
+    drone, route = situation.scene.drones[index], situation.routes[index]
+    flight = situation.flights.get(drone.id)
+    if drone.end is not None or drone.max_distance is not None:
+        return False
+    if flight is None or not route:
+        return flight is None and not route
+    away = flight.curve(flight.curve.end_time) - situation.scene.task_positions[route[-1]]
+    return bool(np.linalg.norm(away) < SAME_POINT_M)
+
+
+def _finish(
+    situation: Situation, travel: Travel, bundles: Bundles, strategy: str, margin_m: float, airborne: Collection[str]
+) -> tuple[Scene, Plan, dict[str, str]]:
+    """The scene of what the bundles serve, the plan for it, certified or not, and what is left out."""
+    scene = situation.scene
+    unserved = {scene.tasks[task].id: reason for task, reason in bundles.unserved}
+    if unserved:
+        kept = [j for j, task in enumerate(scene.tasks) if task.id not in unserved]
+        place = {j: k for k, j in enumerate(kept)}
+        scene = scene.replace(tasks=tuple(scene.tasks[j] for j in kept))
+        travel = compute_travel(scene)
+        bundles = Bundles(tuple(tuple(place[j] for j in route) for route in bundles))
+    draft = draft_plan(scene, "replan", bundles)
+    proof = lower_bound(scene, travel, bound="fast")
+    for clearance_m, separation_m in margins(margin_m):
+        room, ways = roomier(scene, travel, bundles, clearance_m, separation_m)
+        for rest_s in RESTS_S:
+            flights = _flights(situation, room, ways, bundles, rest_s, strategy)
+            apart = deconflict(room, bundles, flights, travel=ways, airborne=airborne)
+            result = replace(draft, flights=apart.flights, cost=plan_cost(travel, bundles, apart.flights, proof))
+            certificate = certify(scene, result, travel=travel, bound=proof)
+            if certificate["separation"].holds or not _rests_could_help(situation, flights, apart):
+                break
+        if certificate.certified:
+            break
+    status = "certified" if certificate.certified else "uncertified"
+    return scene, replace(result, status=status, certificate=certificate), unserved
+
+
+def _rests_could_help(situation: Situation, flights: dict[str, Flight], apart: Deconflicted) -> bool:
+    """Whether a drone that starts in motion, on a new flight, is among those that meet."""
+    met = {name for conflict in apart.unresolved for name in conflict.drones}
+    return any(
+        drone.id in met
+        and (any(drone.velocity) or any(drone.acceleration))
+        and flights.get(drone.id) is not situation.flights.get(drone.id)
+        for drone in situation.scene.drones
+    )
+
+
+def _flights(
+    situation: Situation, scene: Scene, travel: Travel, bundles: Bundles, rest_s: float, strategy: str
+) -> dict[str, Flight]:
+    """Flights from the swap: the old curve where the route is the old one, a new one elsewhere.
+
+    Drones on a new route that start in motion rest for ``rest_s`` seconds at their first waypoint, if that is > 0. With
+    the strategy "appended" drones fly their old flights to the end before they turn to tasks that were not theirs.
+    """
+    flights = dict(situation.flights)
+    for index, drone in enumerate(scene.drones):
+        old = tuple(situation.scene.tasks[task].id for task in situation.routes[index])
+        new = tuple(scene.tasks[task].id for task in bundles[index])
+        moving = any(drone.velocity) or any(drone.acceleration)
+        if old == new and not (drone.id in situation.astray and strategy in ANEW):
+            continue
+        if strategy == "appended" and drone.id in flights and old == new[: len(old)]:
+            flights[drone.id] = _continued(scene, travel, index, bundles[index], flights[drone.id], len(old))
+            continue
+        waypoints = waypoints_from_paths(scene, travel, index, bundles[index])
+        if moving and rest_s > 0.0:
+            waypoints = _resting(waypoints, rest_s)
+        flights.pop(drone.id, None)
+        if waypoints.moves or new or moving:
+            flights[drone.id] = fly(scene, drone, waypoints).shifted(situation.ready_s[drone.id])
+    return flights
+
+
+def _continued(scene: Scene, travel: Travel, index: int, route: tuple[int, ...], flight: Flight, num_flown: int) -> Flight:
+    """The old flight, flown to rest at its last task, and a new one from there through the tasks after ``num_flown``."""
+    standing = replace(scene.drones[index], velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0))
+    legs = [travel.path(index, *pair) for pair in pairwise(route[num_flown - 1 :])]
+    onward = fly(scene, standing, Waypoints.join(scene, route[num_flown:], legs))
+    return flight.then(onward)
+
+
+def _resting(waypoints: Waypoints, rest_s: float) -> Waypoints:
+    """The same way with a longer rest at its first point after the start."""
+    if not waypoints.moves:
+        return waypoints
+    rests = waypoints.rest_s.copy()
+    rests[1] = max(rests[1], 0.0) + rest_s
+    return replace(waypoints, rest_s=rests)

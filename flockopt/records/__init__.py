@@ -1,0 +1,1 @@
+"""What every record stands on: arrays, checks of values, files."""

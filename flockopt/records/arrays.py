@@ -1,0 +1,11 @@
+"""What arrays are called in signatures."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FloatArray"]
+
+#: Float64 in SI units; the shape is said where one is named.
+FloatArray = NDArray[np.float64]

@@ -1,0 +1,112 @@
+"""Strict reading of JSON files and checking of field values.
+
+Files come from strangers: what is not known is refused, and every refusal names the field's path, the value
+seen, the rule and the mend. Nothing that is read is ever executed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
+
+from flockopt.errors import FieldError
+
+__all__ = ["Error", "integer", "keys", "number", "objects", "point", "shown", "text", "unique"]
+
+Error = type[FieldError]
+Record = TypeVar("Record")
+
+
+def shown(value: object) -> str:
+    """A short form of a value for an error message."""
+    words = repr(value)
+    return words if len(words) <= 60 else words[:57] + "..."
+
+
+def number(
+    error: Error, field: str, value: Any, *, above: float | None = None, least: float | None = None, mend: str = ""
+) -> float:
+    """A finite number, greater than ``above`` or at least ``least`` where these are given."""
+    bound = f" > {above:g}" if above is not None else f" >= {least:g}" if least is not None else ""
+    rule = f"must be a finite number{bound}"
+    if isinstance(value, bool) or not (isinstance(value, (int, float)) or _is_numpy_scalar(value)):
+        raise error(field, f"is {shown(value)}", rule, mend or "give a number")
+    try:
+        result = float(value)
+    except OverflowError:
+        result = math.inf
+    low = (above is not None and not result > above) or (least is not None and not result >= least)
+    if not math.isfinite(result) or low:
+        raise error(field, f"is {shown(value)}", rule, mend or f"give a finite number{bound}")
+    return result
+
+
+def _is_numpy_scalar(value: Any) -> bool:
+    return getattr(value, "shape", None) == () and getattr(getattr(value, "dtype", None), "kind", "") in "iuf"
+
+
+def integer(error: Error, field: str, value: Any, *, least: int, mend: str = "") -> int:
+    """A whole number, at least ``least``; 3.0 is one, 3.5 and true are not."""
+    rule = f"must be an integer >= {least}"
+    result = number(error, field, value, mend=mend or rule)
+    if result != int(result) or result < least:
+        raise error(field, f"is {shown(value)}", rule, mend or f"give a whole number >= {least}")
+    return int(result)
+
+
+def text(error: Error, field: str, value: Any) -> str:
+    """A string that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise error(field, f"is {shown(value)}", "must be a non-empty string", "give it a name")
+    if any("\ud800" <= letter <= "\udfff" for letter in value):  # JSON can hold half a character; UTF-8 cannot
+        raise error(field, f"is {shown(value)}", "must be Unicode text without lone surrogates", "correct its \\u escapes")
+    return value
+
+
+def point(error: Error, field: str, value: Any) -> tuple[float, float, float]:
+    """Three finite numbers: x, y, z."""
+    if isinstance(value, (str, bytes)) or not hasattr(value, "__len__") or len(value) != 3 or isinstance(value, Mapping):
+        raise error(field, f"is {shown(value)}", "must be a list of three numbers [x, y, z]", "give x, y and z")
+    x, y, z = (number(error, f"{field}[{axis}]", value[axis]) for axis in range(3))
+    return x, y, z
+
+
+def keys(error: Error, record: Any, required: Iterable[str], optional: Iterable[str] = ()) -> dict[str, Any]:
+    """The record itself, once it is an object with every required key and no unknown one."""
+    if not isinstance(record, dict):
+        raise error("", f"is {shown(record)}", "must be an object", "put it in braces")
+    required, optional = tuple(required), tuple(optional)
+    for key in required:
+        if key not in record:
+            raise error(key, "is missing", "the key is required", "add it")
+    for key in record:
+        if key not in required and key not in optional:
+            known = ", ".join((*required, *optional))
+            raise error(key, "is an unknown key", f"known keys are {known}", "remove it or correct its spelling")
+    return record
+
+
+def objects(error: Error, field: str, value: Any, build: Callable[[Any], Record]) -> tuple[Record, ...]:
+    """A list whose every item is built by ``build``; errors in item 3 are named ``field[3]``."""
+    if not isinstance(value, (list, tuple)):
+        raise error(field, f"is {shown(value)}", "must be a list", "put it in brackets")
+    records = []
+    for index, item in enumerate(value):
+        try:
+            records.append(build(item))
+        except FieldError as fault:
+            raise fault.within(f"{field}[{index}]") from None
+    return tuple(records)
+
+
+def unique(error: Error, field: str, ids: Sequence[str]) -> None:
+    """Ids within a list are all different."""
+    first: dict[str, int] = {}
+    for index, name in enumerate(ids):
+        if name in first:
+            raise error(
+                f"{field}[{index}].id", f"is {shown(name)}, the same as {field}[{first[name]}].id",
+                "ids must be unique within their list", "rename one of the two",
+            )  # fmt: skip
+        first[name] = index

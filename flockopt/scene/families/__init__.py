@@ -1,0 +1,1 @@
+"""Seeded scene generators: forest, corridor, warehouse, rooms and city; see docs/families.md."""

@@ -1,0 +1,277 @@
+"""Scenes: drones, tasks and obstacles, validated when made and never changed after.
+
+The file format is ``flockopt.scene/1`` (see docs/formats.md). Every record checks itself on construction, so
+that a `Scene` in hand is a scene that can be planned; `Scene.replace` makes an edited copy, checked again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flockopt.errors import SceneError
+from flockopt.geometry.distances import bounding_boxes, distances
+from flockopt.records import checks, files
+from flockopt.records.arrays import FloatArray
+from flockopt.scene.parts import (
+    GRAVITY_MPS2,
+    LATER_DRONE_KEYS,
+    SHAPES,
+    Bounds,
+    Box,
+    Cylinder,
+    Drone,
+    Obstacle,
+    Origin,
+    Point,
+    Sphere,
+    Task,
+    obstacle_table,
+    require_positive,
+    set_fields,
+)
+
+__all__ = [
+    "GRAVITY_MPS2", "Bounds", "Box", "Cylinder", "Drone", "Obstacle", "Origin", "Point", "Scene", "Sphere", "Task",
+]  # fmt: skip
+
+FORMAT = "flockopt.scene/1"
+
+#: Slack in comparisons of validated positions, metres: what is lost when a file is written and read again.
+POSITION_TOLERANCE_M = 1e-9
+
+#: Younger than the format, as `scene_parts.LATER_DRONE_KEYS` are.
+LATER_SCENE_KEYS = ("origin",)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything a fleet plan is made for: see docs/formats.md for each field's meaning and unit.
+
+    Raises:
+        SceneError: Naming the field, the value, the rule and the mend.
+    """
+
+    name: str
+    bounds: Bounds
+    drones: tuple[Drone, ...]
+    tasks: tuple[Task, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
+    clearance: float = 0.0
+    separation: float = 0.0
+    separation_z: float | None = None
+    origin: Origin | None = None
+
+    def __post_init__(self) -> None:
+        checks.text(SceneError, "name", self.name)
+        set_fields(
+            self,
+            drones=tuple(self.drones), tasks=tuple(self.tasks), obstacles=tuple(self.obstacles),
+            clearance=checks.number(SceneError, "clearance", self.clearance, least=0.0),
+            separation=checks.number(SceneError, "separation", self.separation, least=0.0),
+        )  # fmt: skip
+        if self.separation_z is not None:
+            require_positive(self, "separation_z")
+            if self.separation == 0.0:
+                raise SceneError("separation", "is 0", "must be > 0 where separation_z is given", "give both or neither")
+        if not self.drones:
+            raise SceneError("drones", "is empty", "a fleet has at least one drone", "add a drone")
+        for field in ("drones", "tasks", "obstacles"):
+            checks.unique(SceneError, field, [record.id for record in getattr(self, field)])
+        with np.errstate(over="ignore", invalid="ignore"):  # what is 1e300 m away is far, and no reason for a warning
+            self._check_places()
+            self._check_starts_apart()
+
+    # -- arrays, made once and read-only --------------------------------------------------------------------
+
+    @property
+    def num_drones(self) -> int:
+        """N."""
+        return len(self.drones)
+
+    @property
+    def num_tasks(self) -> int:
+        """M."""
+        return len(self.tasks)
+
+    @cached_property
+    def starts(self) -> FloatArray:
+        """(N, 3) m."""
+        return _frozen([drone.start for drone in self.drones], 3)
+
+    @cached_property
+    def ends(self) -> FloatArray:
+        """(N, 3) m; NaN where a route ends at its last task."""
+        return _frozen([drone.end_point or (math.nan,) * 3 for drone in self.drones], 3)
+
+    @cached_property
+    def task_positions(self) -> FloatArray:
+        """(M, 3) m."""
+        return _frozen([task.position for task in self.tasks], 3)
+
+    @cached_property
+    def capacities(self) -> FloatArray:
+        """(N,) total demand each drone can serve."""
+        return _frozen([drone.capacity for drone in self.drones])
+
+    @cached_property
+    def demands(self) -> FloatArray:
+        """(M,)."""
+        return _frozen([task.demand for task in self.tasks])
+
+    @cached_property
+    def radii(self) -> FloatArray:
+        """(N,) m."""
+        return _frozen([drone.radius for drone in self.drones])
+
+    @cached_property
+    def obstacle_table(self) -> FloatArray:
+        """(K, 9), see `flockopt.geometry.distances.OBSTACLE_COLUMNS`."""
+        return obstacle_table(self.obstacles)
+
+    @cached_property
+    def obstacle_boxes(self) -> FloatArray:
+        """(K, 2, 3) m, the obstacles' axis-aligned bounding boxes."""
+        return bounding_boxes(self.obstacle_table)
+
+    @property
+    def separation_axes(self) -> Point:
+        """Half axes of the ellipsoid around a drone that other drones' centres stay out of, metres."""
+        return (self.separation, self.separation, self.separation if self.separation_z is None else self.separation_z)
+
+    # -- files ----------------------------------------------------------------------------------------------
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scene:
+        """Read a scene file.
+
+        Raises:
+            SceneError: If the file cannot be read or is not a valid ``flockopt.scene/1``.
+        """
+        return cls.from_dict(files.read_json(SceneError, path))
+
+    @classmethod
+    def from_dict(cls, record: Any) -> Scene:
+        """A scene from its JSON object, read strictly."""
+        if isinstance(record, dict) and record.get("format", FORMAT) != FORMAT:
+            raise SceneError("format", f"is {checks.shown(record['format'])}", f'must be "{FORMAT}"', "convert the file")
+        fields = checks.keys(SceneError, record, ("format", *_required(cls)), _optional(cls))
+        values = {key: value for key, value in fields.items() if key != "format"}
+        values["bounds"] = _nested("bounds", Bounds, values["bounds"])
+        if values.get("origin") is not None:
+            values["origin"] = _nested("origin", Origin, values["origin"])
+        values["drones"] = checks.objects(SceneError, "drones", values["drones"], lambda item: _from_fields(Drone, item))
+        values["tasks"] = checks.objects(SceneError, "tasks", values["tasks"], lambda item: _from_fields(Task, item))
+        values["obstacles"] = checks.objects(SceneError, "obstacles", values["obstacles"], _obstacle)
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The canonical JSON object: every default filled in, but for unused keys that are younger than the format."""
+        record = dataclasses.asdict(self)
+        for owner, names in ((record, LATER_SCENE_KEYS), *((drone, LATER_DRONE_KEYS) for drone in record["drones"])):
+            for name in names:
+                if owner[name] is None:
+                    del owner[name]
+        record["obstacles"] = [{"shape": kind.shape, **dataclasses.asdict(kind)} for kind in self.obstacles]
+        return {"format": FORMAT, **json.loads(json.dumps(record))}
+
+    def save(self, path: str | Path) -> None:
+        """Write a scene file, whole or not at all."""
+        files.write_whole(SceneError, path, json.dumps(self.to_dict(), indent=1) + "\n")
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of the canonical form: sorted keys, no spaces, defaults filled in."""
+        canonical = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        return hashlib.sha256(canonical.encode("utf-8")).hexdigest()
+
+    def replace(self, **changes: Any) -> Scene:
+        """A copy with some fields changed, validated anew."""
+        return dataclasses.replace(self, **changes)
+
+    # -- checks that need the whole scene -------------------------------------------------------------------
+
+    def _check_places(self) -> None:
+        smallest = min(drone.radius for drone in self.drones)
+        places = [(f"drones[{i}].start", drone.start, drone.radius) for i, drone in enumerate(self.drones)]
+        places += [
+            (f"drones[{i}].end", drone.end, drone.radius) for i, drone in enumerate(self.drones) if isinstance(drone.end, tuple)
+        ]
+        places += [(f"tasks[{j}].position", task.position, smallest) for j, task in enumerate(self.tasks)]
+        points = np.array([place for _, place, _ in places])
+        gaps = distances(self.obstacle_table, points)  # (P, K)
+        for (field, place, radius), gap in zip(places, gaps, strict=True):
+            for axis, (low, value, high) in enumerate(zip(self.bounds.lower, place, self.bounds.upper, strict=True)):
+                if not low <= value <= high:
+                    rule = f"must be within bounds [{low:g}, {high:g}]"
+                    raise SceneError(f"{field}[{axis}]", f"is {value:g}", rule, "move it")
+            need = radius + self.clearance
+            if gap.size and gap.min() < need - POSITION_TOLERANCE_M:
+                culprit = self.obstacles[int(gap.argmin())].id
+                raise SceneError(
+                    field, f"is {gap.min():.4g} m from obstacle {checks.shown(culprit)}",
+                    f"must be >= radius + clearance = {need:g} m away", "move it or the obstacle",
+                )  # fmt: skip
+
+    def _check_starts_apart(self) -> None:
+        if self.separation == 0.0:
+            return
+        scaled = self.starts / np.array(self.separation_axes)
+        for i in range(1, len(scaled)):
+            apart = np.linalg.norm(scaled[:i] - scaled[i], axis=1)
+            j = int(apart.argmin())
+            if apart[j] < 1 - POSITION_TOLERANCE_M:
+                metres = math.dist(self.drones[i].start, self.drones[j].start)
+                raise SceneError(
+                    f"drones[{i}].start", f"is {metres:.4g} m from drones[{j}].start",
+                    f"starts must be at least the separation apart ({self.separation:g} m)", "move one of them",
+                )  # fmt: skip
+
+
+def _frozen(values: list[Any], width: int | None = None) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if width is not None:
+        array = array.reshape(-1, width)
+    array.setflags(write=False)
+    return array
+
+
+def _required(record: type) -> tuple[str, ...]:
+    missing = dataclasses.MISSING
+    names = tuple(field.name for field in dataclasses.fields(record) if field.default is missing)
+    return (*names, "tasks", "obstacles") if record is Scene else names
+
+
+def _optional(record: type) -> tuple[str, ...]:
+    required = _required(record)
+    return tuple(field.name for field in dataclasses.fields(record) if field.name not in required)
+
+
+def _from_fields(record: type, item: Any) -> Any:
+    return record(**checks.keys(SceneError, item, _required(record), _optional(record)))
+
+
+def _nested(field: str, record: type, item: Any) -> Any:
+    try:
+        return _from_fields(record, item)
+    except SceneError as fault:
+        raise fault.within(field) from None
+
+
+def _obstacle(item: Any) -> Obstacle:
+    if not isinstance(item, dict):
+        raise SceneError("", f"is {checks.shown(item)}", "must be an object", "put it in braces")
+    if "shape" not in item:
+        raise SceneError("shape", "is missing", "the key is required", "add it")
+    kind = SHAPES.get(item["shape"]) if isinstance(item["shape"], str) else None
+    if kind is None:
+        raise SceneError("shape", f"is {checks.shown(item['shape'])}", f"must be one of {', '.join(SHAPES)}", "choose one")
+    return _from_fields(kind, {key: value for key, value in item.items() if key != "shape"})

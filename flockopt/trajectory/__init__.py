@@ -1,1 +1,0 @@
-"""Trajectories: from bundles to smooth flights that keep clear of obstacles and of each other."""

@@ -1,0 +1,118 @@
+"""Travel computed: shortest any-angle distances and paths of a fleet among obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flockopt.geometry.distances import distances
+from flockopt.records.arrays import FloatArray
+from flockopt.scene import Scene
+from flockopt.scene.scene import POSITION_TOLERANCE_M
+from flockopt.travel.travel import Paths, Travel, places, straight_travel
+
+__all__ = ["compute_travel", "roomy_needs"]
+
+
+#: How much farther from obstacles than the scene asks paths keep, where the places to reach leave that room,
+#: metres: what lets smooth curves follow them.
+MOST_MARGIN_M = 5e-3
+
+
+def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = None) -> Travel:
+    """Shortest any-angle distances and paths that keep clear of obstacles and within bounds.
+
+    Each obstacle is kept at ``radius + clearance`` and a margin of up to `MOST_MARGIN_M`, less where a start, an
+    end or a task is nearer than that. A task too near an obstacle for a class of drones has no way for them.
+
+    Args:
+        scene: The scene.
+        routes: Where only the legs of these routes are wanted, one route of task indices a drone; what other distances
+            there are is then left open.
+    """
+    if not scene.obstacles:
+        return straight_travel(scene)
+    radii, drone_class = np.unique(scene.radii, return_inverse=True)
+    num_drones, num_tasks = scene.num_drones, scene.num_tasks
+    travel = Travel(
+        np.full((num_drones, num_tasks), np.inf), np.full((len(radii), num_tasks, num_tasks), np.inf),
+        np.zeros((num_drones, num_tasks)), np.zeros(num_drones), drone_class.reshape(-1).astype(np.int64),
+    )  # fmt: skip
+    points = places(scene)
+    gaps = distances(scene.obstacle_table, points)  # (P, K)
+    wanted = None if routes is None else _pairs_on(scene, routes)
+    legs = [_fill_class(scene, travel, points, gaps, index, float(radius), wanted) for index, radius in enumerate(radii)]
+    keys, offsets, bends = zip(*legs, strict=True)
+    for array in (travel.start_task, travel.task_task, travel.task_end, travel.start_end):
+        array.setflags(write=False)
+    paths = Paths(points, tuple(keys), tuple(offsets), tuple(bends))
+    return Travel(travel.start_task, travel.task_task, travel.task_end, travel.start_end, travel.drone_class, paths)
+
+
+def _pairs_on(scene: Scene, routes: Sequence[Sequence[int]]) -> NDArray[np.bool_]:
+    """Which pairs of places (as in `places`) follow each other on the routes, (P, P)."""
+    num_drones, num_tasks = scene.num_drones, scene.num_tasks
+    wanted = np.zeros((num_tasks + 2 * num_drones,) * 2, dtype=np.bool_)
+    for drone, route in enumerate(routes):
+        stops = [num_tasks + drone, *route, num_tasks + num_drones + drone]
+        wanted[stops[:-1], stops[1:]] = wanted[stops[1:], stops[:-1]] = True
+    return wanted
+
+
+def roomy_needs(gaps: FloatArray, need: float) -> FloatArray:
+    """How far paths keep from each obstacle, (K,) m: ``need`` and a margin that leaves room at all places.
+
+    Args:
+        gaps: (P, K) m between the places to reach and the obstacles.
+        need: What must be kept, metres.
+    """
+    least_slack = (gaps - need).min(axis=0)  # (K,)
+    margins = np.where(least_slack > 0.0, np.minimum(0.5 * least_slack, MOST_MARGIN_M), least_slack)
+    needs: FloatArray = need + margins
+    return needs
+
+
+def _fill_class(
+    scene: Scene,
+    travel: Travel,
+    points: FloatArray,
+    gaps: FloatArray,
+    index: int,
+    radius: float,
+    only: NDArray[np.bool_] | None,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Fill the distances of one class of drones; return its keys, offsets and bends for `Paths`.
+
+    Pairs of places that ``only`` (P, P) does not hold, if it is given, are left out.
+    """
+    from flockopt.travel.roadmap import Roadmap
+
+    num_drones, num_tasks = scene.num_drones, scene.num_tasks
+    need = radius + scene.clearance
+    drones = np.flatnonzero(travel.drone_class == index)
+    bound = np.isfinite(scene.ends[drones, 0])
+    tasks = np.flatnonzero(gaps[:num_tasks].min(axis=1) >= need - POSITION_TOLERANCE_M)
+    active = np.concatenate([tasks, num_tasks + drones, num_tasks + num_drones + drones[bound]])
+    needs = roomy_needs(gaps[active], need)
+    roadmap = Roadmap(scene.obstacle_table, needs, (scene.bounds.lower, scene.bounds.upper))
+
+    wanted = np.zeros((len(active), len(active)), dtype=np.bool_)
+    wanted[: len(tasks)] = True
+    starts = len(tasks) + np.flatnonzero(bound)
+    ends = len(tasks) + len(drones) + np.arange(len(starts))
+    wanted[starts, ends] = True
+    if only is not None:
+        wanted &= only[np.ix_(active, active)]
+    legs = roadmap.legs(points[active], wanted)
+
+    travel.task_task[index][np.ix_(tasks, tasks)] = legs.lengths[: len(tasks), : len(tasks)]
+    np.fill_diagonal(travel.task_task[index], 0.0)
+    last_start = len(tasks) + len(drones)
+    travel.start_task[np.ix_(drones, tasks)] = legs.lengths[len(tasks) : last_start, : len(tasks)]
+    travel.task_end[drones[bound]] = np.inf
+    travel.task_end[np.ix_(drones[bound], tasks)] = legs.lengths[last_start:, : len(tasks)]
+    travel.start_end[drones[bound]] = legs.lengths[starts, ends]
+    keys = active[legs.pairs[:, 0]] * len(points) + active[legs.pairs[:, 1]]
+    return keys, legs.offsets, legs.bends

@@ -1,0 +1,189 @@
+"""Shortest any-angle paths among obstacles in 3-D: around, over and under them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
+
+from flockopt.records.arrays import FloatArray
+from flockopt.travel.bends import Features, make_features, unrestricted
+from flockopt.travel.blocking import Space, blocked_pairs, make_space
+from flockopt.travel.legs import Drawn, Legs, draw, join, merge, pack
+from flockopt.travel.path_search import shortest, within_ellipse
+from flockopt.travel.sight import Sight, empty_sight, segment_length
+
+__all__ = ["Legs", "Roadmap"]
+
+#: Ellipses to search first, as multiples of the straight flight.
+ELLIPSES = (1.02, 1.1)
+
+
+class Roadmap:
+    """Paths for one kind of drone among fixed obstacles.
+
+    Features are made only when a straight flight is blocked, and what they see is found only as far as a search
+    gets; both are kept for later queries.
+
+    Args:
+        table: (K, 9) obstacles, see `flockopt.geometry.distances.OBSTACLE_COLUMNS`.
+        needs: (K,) m, least distance of the drone's centre from each obstacle.
+        bounds: (2, 3) m or (lower, upper): the space paths stay within.
+    """
+
+    def __init__(self, table: FloatArray, needs: ArrayLike, bounds: ArrayLike) -> None:
+        lower, upper = np.asarray(bounds, dtype=np.float64)
+        self._space: Space = make_space(table, np.asarray(needs, dtype=np.float64), lower, upper)
+        self._features: Features | None = None
+        self._sight: Sight | None = None
+
+    def path(self, p: ArrayLike, q: ArrayLike) -> tuple[float, FloatArray]:
+        """Length, metres, and vertices (V, 3) of a shortest path; infinite and none where there is no way."""
+        points = np.array([p, q], dtype=np.float64)
+        legs = self.legs(points, np.array([[False, True], [False, False]]))
+        length = float(legs.lengths[0, 1])
+        if math.isinf(length):
+            return length, np.empty((0, 3))
+        return length, np.concatenate([points[:1], legs.bends, points[1:]])
+
+    def legs(self, points: FloatArray, wanted: NDArray[np.bool_]) -> Legs:
+        """Paths between all pairs i < j of ``points`` (P, 3) with ``wanted[i, j]`` (P, P)."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        pairs = np.argwhere(np.triu(wanted, 1))
+        first, second = pairs.T
+        lengths = np.full((len(points), len(points)), np.inf)
+        np.fill_diagonal(lengths, 0.0)
+        lengths[first, second] = lengths[second, first] = np.linalg.norm(points[first] - points[second], axis=1)
+        pairs = pairs[blocked_pairs(self._space, points, pairs)]
+        first, second = pairs.T
+        lengths[first, second] = lengths[second, first] = np.inf
+        if not len(pairs):
+            return Legs(lengths, pairs, np.zeros(1, dtype=np.int64), np.empty((0, 3)))
+        if self._features is None or self._sight is None:
+            self._features = make_features(self._space)
+            self._sight = empty_sight(len(self._features.position))
+        self._sight, drawn = self._search(self._features, self._sight, points, pairs, lengths)
+        drawn = join(self._space, points, drawn, lengths)
+        if drawn.missing.any():
+            drawn = self._link(self._features, points, drawn, lengths)
+        return pack(drawn, lengths)
+
+    def _search(
+        self, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64], lengths: FloatArray
+    ) -> tuple[Sight, Drawn]:
+        sight, begin, count, chains = _chains(self._space, features, sight, points, pairs)
+        drawn = Drawn(pairs, begin, count, features.position[chains], features.along[chains])
+        return sight, draw(self._space, points, drawn, lengths)
+
+    def _link(self, features: Features, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
+        """Search again, over all features and all bends, for a way between groups of points that have none yet.
+
+        Each search starts in the group that sees least: where points are walled in, it ends soon.
+        """
+        features = unrestricted(features)
+        sight = empty_sight(len(features.position))
+        closed: list[int] = []
+        while True:
+            missing = drawn.pairs[drawn.missing]
+            _, group = connected_components(np.isfinite(lengths), directed=False)
+            sources = [int(np.argmax(group == name)) for name in np.setdiff1d(group[missing], group[closed])]
+            if len(sources) < 2:
+                return drawn
+            source = min(sources, key=lambda point: self._num_seen(features, points[point]))
+            inside = group == group[source]
+            across = missing[inside[missing[:, 0]] != inside[missing[:, 1]]]
+            across = np.where(inside[across[:, :1]], across, across[:, ::-1])
+            across = across[np.argsort(across[:, 0], kind="stable")]
+            sight, extra = self._search(features, sight, points, across, lengths)
+            if extra.missing.all():
+                closed.append(source)
+                continue
+            drawn, num_missing = merge(drawn, extra), len(missing) + 1
+            while int(drawn.missing.sum()) < num_missing:
+                num_missing = int(drawn.missing.sum())
+                drawn = join(self._space, points, drawn, lengths)
+
+    def _num_seen(self, features: Features, point: FloatArray) -> int:
+        """How many features a point sees."""
+        others = np.arange(1, len(features.position) + 1)
+        pairs = np.stack([np.zeros_like(others), others], axis=1)
+        return len(others) - int(blocked_pairs(self._space, np.vstack([point, features.position]), pairs).sum())
+
+
+@njit(cache=True, error_model="numpy")
+def _chains(
+    space: Space, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64]
+) -> tuple[Sight, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The features that shortest paths between pairs bend around.
+
+    Args:
+        space: What segments are checked against.
+        features: Where paths may bend.
+        sight: What is known of who sees whom; filled further.
+        points: (P, 3) m.
+        pairs: (L, 2) from, to; pairs of one origin stand together.
+
+    Returns:
+        The sight; where each pair's chain begins, (L,); how long it is, (L,), -1 where none is found; the chains.
+    """
+    num_points, num_features, num_pairs = points.shape[0], features.position.shape[0], pairs.shape[0]
+    views = np.zeros((num_points, num_features), dtype=np.uint8)
+    parent, from_source = np.empty(num_features, dtype=np.int64), np.empty(num_features)
+    begin, count = np.zeros(num_pairs, dtype=np.int64), np.full(num_pairs, -1, dtype=np.int64)
+    chains, used = np.empty(4 * num_pairs + 16, dtype=np.int64), 0
+    left = np.empty(num_pairs, dtype=np.int64)
+    first = 0
+    while first < num_pairs:
+        source, num_left, stop = pairs[first, 0], 0, first
+        for v in range(num_features):
+            from_source[v] = segment_length(points[source], features.position[v])
+        while stop < num_pairs and pairs[stop, 0] == source:
+            target = pairs[stop, 1]
+            straight, last = segment_length(points[source], points[target]), -1
+            for share in ELLIPSES:
+                _, last = within_ellipse(space, features, points, views, source, target, from_source, share * straight, parent)
+                if last >= 0:
+                    break
+            if last >= 0:
+                begin[stop] = used
+                chains, used = _trace(chains, used, parent, last)
+                count[stop] = used - begin[stop]
+            else:
+                left[num_left] = stop
+                num_left += 1
+            stop += 1
+        if num_left > 0:
+            best, lasts = np.full(num_left, np.inf), np.full(num_left, -1, dtype=np.int64)
+            targets = np.empty(num_left, dtype=np.int64)
+            for t in range(num_left):
+                targets[t] = pairs[left[t], 1]
+            sight = shortest(space, features, sight, points, views, source, targets, best, lasts, parent)
+            for t in range(num_left):
+                if lasts[t] >= 0:
+                    begin[left[t]] = used
+                    chains, used = _trace(chains, used, parent, lasts[t])
+                    count[left[t]] = used - begin[left[t]]
+        first = stop
+    return sight, begin, count, chains[:used]
+
+
+@njit(cache=True, error_model="numpy")
+def _trace(chains: NDArray[np.int64], used: int, parent: NDArray[np.int64], last: int) -> tuple[NDArray[np.int64], int]:
+    """Append the chain that ends with feature ``last`` to the first ``used`` entries; return it all, and its size."""
+    count, u = 0, last
+    while u >= 0:
+        count += 1
+        u = parent[u]
+    if used + count > chains.shape[0]:
+        wider = np.empty(2 * (used + count), dtype=np.int64)
+        for place in range(used):
+            wider[place] = chains[place]
+        chains = wider
+    u = last
+    for place in range(used + count - 1, used - 1, -1):
+        chains[place] = u
+        u = parent[u]
+    return chains, used + count

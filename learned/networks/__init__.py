@@ -1,0 +1,1 @@
+"""What several networks share: diffusion, transformer blocks, training, files."""

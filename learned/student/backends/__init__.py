@@ -1,0 +1,1 @@
+"""What computes the student: torch, or its graphs compiled by OpenVINO."""

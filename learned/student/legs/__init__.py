@@ -1,0 +1,1 @@
+"""Compiled: samples of legs laid out, chosen, and whether they are clear."""

@@ -1,0 +1,1 @@
+"""Scenes and demonstrations as tensors, with masks."""

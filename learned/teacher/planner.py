@@ -1,0 +1,134 @@
+"""The planners that the learned allocators register: ``magnnet``, ``magnnet-bundling`` and ``teacher``.
+
+They fly the paths asked for: any-angle ones, or A*'s on a voxel grid as in the paper (``voxel26``, ``voxel6``), whose
+costs the allocator then sees as well. ``magnnet`` gives each drone one task at most and says so of the others. ``teacher``
+inserts what its policy left, which is nothing unless demands or ranges differ, and refines the bundles by local search
+(`learned.teacher.refinement`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, partial
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flockopt.bundles import Bundles
+from flockopt.bundles.explain import explained
+from flockopt.bundles.refine import refine_bundles
+from flockopt.bundles.request import RouteTuple
+from flockopt.errors import MissingExtra
+from flockopt.planning.margins import roomier
+from flockopt.planning.planners import ANY_ANGLE, Planner, Proposal, Request
+from flockopt.records.arrays import FloatArray
+from flockopt.scene import Scene
+from flockopt.travel import Travel
+from learned.paths.rollout import route_legs
+from learned.paths.ways import PATHS, LegPlanner, find_ways
+
+if TYPE_CHECKING:
+    from learned.teacher.allocators import Allocator
+
+__all__ = [
+    "allocator", "bundles_of", "control_points", "magnnet", "magnnet_bundling", "refined", "teacher", "teacher_unrefined",
+]  # fmt: skip
+
+#: What MAGNNET says of the tasks it leaves.
+ONE_TASK_EACH = "magnnet gives each drone one task at most; plan with magnnet-bundling"
+
+
+@cache
+def allocator(method: str) -> Allocator:
+    """A learned allocator with the weights that come with the package, loaded once.
+
+    Raises:
+        SettingsError: If the weights are missing or damaged.
+        MissingExtra: If torch or safetensors is not installed.
+    """
+    try:
+        from learned.teacher.allocators import load_allocator
+    except ImportError as fault:
+        raise MissingExtra(fault.name or "torch", "learned") from None
+    return load_allocator(method)
+
+
+def _propose(request: Request, method: str, refines: bool = False) -> Proposal:
+    """Bundles by a learned allocator, and the paths asked for as control points where they are not the any-angle ones."""
+    began = perf_counter()
+    ways = find_ways(request.scene, request.paths, travel=request.travel)
+    asked = perf_counter()
+    (allocation,) = allocator(method).bundles([request.scene], [ways.travel])
+    decided = perf_counter()
+    routes = allocation.routes
+    if refines:
+        complete = refine_bundles(request.scene, travel=ways.travel, warm_start=routes, iterations=0)  # inserts what is left
+        (routes,) = refined([request.scene], [ways.travel], [complete.routes])
+    bundles = bundles_of(request.scene, ways.travel, routes, method)
+    allocated = perf_counter()
+    samples = None
+    if request.paths != ANY_ANGLE and bundles.status != "infeasible":
+        leg = ways.leg
+        if request.tracking_margin_m > 0.0:
+            margins = request.tracking_margin_m, 2.0 * request.tracking_margin_m
+            room, inside = roomier(request.scene, request.travel, bundles, *margins)
+            leg = find_ways(room, request.paths, travel=inside).leg
+        samples = control_points(request.scene, bundles, leg)
+    timing = {"oracle": asked - began, "policy": decided - asked, "refine": allocated - decided}
+    timing["legs"] = perf_counter() - allocated
+    return Proposal(bundles, samples, timing, episode_steps=allocation.steps)
+
+
+def refined(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence[RouteTuple]) -> list[RouteTuple]:
+    """Bundles of many scenes after the teacher's refinement.
+
+    Raises:
+        MissingExtra: If torch is not installed.
+    """
+    try:
+        from learned.teacher.refinement import refine
+    except ImportError as fault:
+        raise MissingExtra(fault.name or "torch", "learned") from None
+    return refine(scenes, travels, routes)
+
+
+def bundles_of(scene: Scene, travel: Travel, routes: RouteTuple, method: str) -> Bundles:
+    """A learned allocator's routes as bundles, each task it leaves with the reason.
+
+    They are infeasible only where no allocator could do better: a policy that leaves tasks has not proven anything.
+    """
+    bundles = explained(scene, travel, routes)
+    if bundles.status != "infeasible" or not _is_possible(scene, travel):
+        return bundles
+    if method == "magnnet":
+        return Bundles(routes, tuple((task, ONE_TASK_EACH) for task, _ in bundles.unserved))
+    return Bundles(routes, bundles.unserved)
+
+
+def _is_possible(scene: Scene, travel: Travel) -> bool:
+    """Whether nothing is known that keeps every allocation from serving all tasks."""
+    fits = scene.demands.sum() <= scene.capacities.sum() and (scene.demands <= scene.capacities.max(initial=0)).all()
+    return bool(fits) and not travel.unreachable(scene) and bool(np.isfinite(travel.start_end).all())
+
+
+def control_points(scene: Scene, bundles: Bundles, leg: LegPlanner) -> FloatArray:
+    """The corners of all drones' legs as samples (N, T, 3) m, the last ones repeated where a drone has fewer."""
+    paths = [
+        np.concatenate([scene.starts[drone : drone + 1], *(path[1:] for path in route_legs(scene, drone, route, leg))])
+        for drone, route in enumerate(bundles)
+    ]
+    most = max(2, *map(len, paths))
+    return np.stack([np.concatenate([path, np.repeat(path[-1:], most - len(path), axis=0)]) for path in paths])
+
+
+def _planner(method: str, *, refines: bool = False) -> Planner:
+    planner = partial(_propose, method=method, refines=refines)
+    planner.paths = PATHS  # type: ignore[attr-defined]
+    return planner
+
+
+magnnet = _planner("magnnet")
+magnnet_bundling = _planner("magnnet-bundling")
+teacher = _planner("teacher", refines=True)
+teacher_unrefined = _planner("teacher")

@@ -1,0 +1,1 @@
+"""How allocators learn: what on, how judged, how told."""

@@ -1,0 +1,1 @@
+"""What moves: drones, their control, PyBullet's world."""

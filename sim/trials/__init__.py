@@ -1,0 +1,1 @@
+"""Batches of flights, and what they amount to."""

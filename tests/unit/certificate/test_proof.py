@@ -1,0 +1,118 @@
+"""Bounds recomputed from their proofs: what the definition says, and valid whatever the vector holds."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from flockopt.bundles import Bound
+from flockopt.certificate.proof import KINDS, recompute_bound
+from flockopt.errors import PlanError
+from tests.instances import random_instance, random_scene, with_cut_legs
+
+
+def length_of(kind, scene):
+    return {"rooted-forest": 0, "held-karp-forest": scene.num_tasks + scene.num_drones, "ng-route": scene.num_tasks}[kind]
+
+
+def cheapest_travel(scene, travel):
+    """By brute force: every assignment of tasks to drones, every order."""
+    num = scene.num_tasks
+    best = np.full((scene.num_drones, 1 << num), np.inf)
+    for drone, members in itertools.product(range(scene.num_drones), range(1 << num)):
+        tasks = [task for task in range(num) if members >> task & 1]
+        if scene.demands[tasks].sum() <= scene.capacities[drone]:
+            best[drone, members] = min(travel.route_length(drone, order) for order in itertools.permutations(tasks))
+    total = best[0]
+    for drone in range(1, scene.num_drones):
+        merged = np.full(1 << num, np.inf)
+        for members in range(1 << num):
+            part = members
+            while True:
+                merged[members] = min(merged[members], total[members ^ part] + best[drone, part])
+                if part == 0:
+                    break
+                part = (part - 1) & members
+        total = merged
+    return total[-1]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(8))
+def test_any_vector_proves_a_bound_below_the_cheapest_travel(kind, seed):
+    rng = np.random.default_rng(seed)
+    scene, travel = random_instance(rng, drones=3, tasks=5, capacity=[3, 2, 4], ends=seed % 2 == 1, demands=seed % 3 == 0)
+    if seed >= 6:
+        travel = with_cut_legs(rng, travel, 0.2)
+    cheapest = cheapest_travel(scene, travel)
+    for scale in (0.1, 1.0, 10.0):
+        dual = rng.normal(size=length_of(kind, scene)) * scale
+        value = recompute_bound(scene, travel, Bound(kind, 1e9, dual))
+        assert value <= cheapest + 1e-9
+        assert value == recompute_bound(scene, travel, Bound(kind, 1e9, np.maximum(dual, 0.0)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ng_routes_over_whole_neighbourhoods_price_elementary_routes_exactly(seed):
+    """With at most eight tasks a neighbourhood holds them all, so that the value is that of elementary routes."""
+    rng = np.random.default_rng(seed)
+    scene, travel = random_instance(rng, drones=2, tasks=6, capacity=[4, 5], ends=seed % 2 == 0, demands=True)
+    prices = rng.uniform(0, 15, 6)
+    expected = prices.sum()
+    for drone in range(2):
+        routes = (route for size in range(7) for route in itertools.permutations(range(6), size))
+        expected += min(
+            travel.route_length(drone, route) - prices[list(route)].sum()
+            for route in routes
+            if scene.demands[list(route)].sum() <= scene.capacities[drone]
+        )
+    assert recompute_bound(scene, travel, Bound("ng-route", 0.0, prices)) == pytest.approx(expected)
+
+
+def test_rooted_forest_by_hand():
+    scene, travel = random_instance(np.random.default_rng(0), drones=2, tasks=3, capacity=[1, 0])
+    start_task = np.array([[2.0, 9.0, 9.0], [0.0, 0.0, 0.0]])  # the second drone can carry nothing
+    task_task = np.array([[[0.0, 1.0, 5.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0]]])
+    travel = dataclasses.replace(travel, start_task=start_task, task_task=task_task)
+    assert recompute_bound(scene, travel, Bound("rooted-forest", 0.0, np.empty(0))) == 3.0
+    dual = np.array([0.0, 1.0, 0.0, 0.5, 0.0])  # legs 2.5, 2 and 1, less twice the 1, less the 0.5
+    assert recompute_bound(scene, travel, Bound("held-karp-forest", 0.0, dual)) == 3.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_cut_off_tasks_and_no_tasks(kind):
+    scene, travel = random_instance(np.random.default_rng(1), drones=2, tasks=3, capacity=3)
+    cut = dataclasses.replace(travel, start_task=np.full((2, 3), np.inf), task_task=np.full((1, 3, 3), np.inf))
+    value = recompute_bound(scene, cut, Bound(kind, 0.0, np.zeros(length_of(kind, scene))))
+    assert value == (0.0 if kind == "ng-route" else np.inf)
+    empty = random_scene(np.random.default_rng(1), drones=2, tasks=0, capacity=1)
+    assert recompute_bound(empty, travel, Bound(kind, 0.0, np.zeros(length_of(kind, empty)))) == 0.0
+
+
+@pytest.mark.parametrize(
+    "kind, dual, field",
+    [
+        ("simplex", np.zeros(5), "kind"),
+        ("rooted-forest", np.zeros(1), "dual"),
+        ("held-karp-forest", np.zeros(4), "dual"),
+        ("held-karp-forest", np.zeros((5, 1)), "dual"),
+        ("ng-route", np.array([1.0, np.nan, 1.0]), "dual"),
+        ("ng-route", np.array([1.0, np.inf, 1.0]), "dual"),
+    ],
+)
+def test_proofs_that_are_none_are_named(kind, dual, field):
+    scene, travel = random_instance(np.random.default_rng(2), drones=2, tasks=3, capacity=3)
+    with pytest.raises(PlanError) as caught:
+        recompute_bound(scene, travel, Bound(kind, 0.0, dual))
+    assert caught.value.field == field
+
+
+def test_drones_of_several_classes_use_their_own_matrices():
+    scene, travel = random_instance(np.random.default_rng(3), drones=2, tasks=4, capacity=4)
+    wide = travel.task_task[0] * 1.5
+    two = dataclasses.replace(travel, task_task=np.stack([travel.task_task[0], wide]), drone_class=np.array([0, 1]))
+    prices = np.full(4, 8.0)
+    mixed = recompute_bound(scene, two, Bound("ng-route", 0.0, prices))
+    assert mixed >= recompute_bound(scene, travel, Bound("ng-route", 0.0, prices))
+    assert mixed <= cheapest_travel(scene, two)
