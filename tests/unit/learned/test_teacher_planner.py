@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,15 +11,12 @@ import pytest
 
 from flockopt import Bundles, MissingExtra, Plan, SettingsError, compute_travel, generate, plan, refine_bundles
 from flockopt.flights.waypoints import leg_clear
+from flockopt.planning.planners import PLANNERS
 from flockopt.scene import Box
 from learned.paths.ways import PATHS, find_ways
 from learned.teacher import planner
 from learned.teacher.planner import bundles_of, control_points
 from tests.flights import drone, make_scene
-
-#: By name: the package's attribute of this name is the function.
-PLANNERS = import_module("flockopt.plan").PLANNERS
-
 
 @dataclass
 class Allocation:

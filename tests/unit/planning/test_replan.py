@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -128,7 +127,7 @@ def test_where_no_moment_can_be_swapped_at_the_answer_is_uncertified(flying, mon
     def never(*arguments):
         raise SceneError("drones[1].start", "is too near", "must be apart")
 
-    monkeypatch.setattr(import_module("flockopt.replan"), "hand_over", never)
+    monkeypatch.setattr(replan_module, "hand_over", never)
     answer = replan(*flying, 1.0, Changes())
     assert (answer.plan.status, answer.strategy) == ("uncertified", "none")
 
