@@ -93,11 +93,11 @@ def _row(case: Case, options: argparse.Namespace, settings: FlightSettings) -> d
         flight = execute(scene, made, settings)
     except FlockError as fault:
         return record | {"status": record["status"] or "error", "failed": str(fault)}
-    outcome = flight.outcome
+    measures = flight.measures
     return record | {
-        "execution_completion": outcome.completion, "contacts": len(flight.touches),
-        "mean_tracking_error": outcome.mean_tracking_error, "max_tracking_error": outcome.max_tracking_error,
-        "min_clearance": outcome.min_clearance, "min_separation": outcome.min_separation,
+        "execution_completion": measures.completion, "contacts": len(flight.touches),
+        "mean_tracking_error": measures.mean_tracking_error, "max_tracking_error": measures.max_tracking_error,
+        "min_clearance": measures.min_clearance, "min_separation": measures.min_separation,
         "real_time_factor": flight.real_time_factor,
     }  # fmt: skip
 

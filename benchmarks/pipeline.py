@@ -202,10 +202,10 @@ def _flown(scene: Scene, result: Plan, travel: Travel) -> dict[str, float]:
     if not result.flights:
         return dict.fromkeys(("completion", "contacts", "room", "error"), float("nan"))
     flight = execute(scene, result, force=True, travel=travel)
-    room_m = _number(flight.outcome.min_clearance) - scene.clearance
+    room_m = _number(flight.measures.min_clearance) - scene.clearance
     return {
-        "completion": flight.outcome.completion, "contacts": float(len(flight.touches)), "room": 1e3 * room_m,
-        "error": 1e3 * flight.outcome.mean_tracking_error,
+        "completion": flight.measures.completion, "contacts": float(len(flight.touches)), "room": 1e3 * room_m,
+        "error": 1e3 * flight.measures.mean_tracking_error,
     }  # fmt: skip
 
 

@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"sim.fly: {fault}", file=sys.stderr)
         return 2
     print("\n".join([*_account(flight), *(_events(events, outcome) if events else [])]))
-    is_complete = not outcome.unexplained if events else flight.outcome.completion == 1.0
+    is_complete = not outcome.unexplained if events else flight.measures.completion == 1.0
     return 0 if is_complete and not flight.touches else 1
 
 
@@ -60,17 +60,17 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _account(flight: Execution) -> list[str]:
-    outcome = flight.outcome
+    measures = flight.measures
     lines = [
-        f"completion      {outcome.completion:.1%} ({len(outcome.served)} of {flight.scene.num_tasks} tasks)",
+        f"completion      {measures.completion:.1%} ({len(measures.served)} of {flight.scene.num_tasks} tasks)",
         f"contacts        {len(flight.touches)}",
-        f"least clearance {_metres(outcome.min_clearance)}",
-        f"least distance  {_metres(outcome.min_separation)}",
-        f"tracking error  {1000.0 * outcome.mean_tracking_error:.1f} mm, {1000.0 * outcome.max_tracking_error:.1f} mm at most",
+        f"least clearance {_metres(measures.min_clearance)}",
+        f"least distance  {_metres(measures.min_separation)}",
+        f"tracking error  {1e3 * measures.mean_tracking_error:.1f} mm, {1e3 * measures.max_tracking_error:.1f} mm at most",
         f"energy          {flight.energy.sum():.1f} J",
         f"flown           {flight.times[-1]:.1f} s, {flight.real_time_factor:.0f} times faster than real time",
     ]
-    lines += [f"missed          {task} by {metres:.3f} m" for task, metres in outcome.missed.items()]
+    lines += [f"missed          {task} by {metres:.3f} m" for task, metres in measures.missed.items()]
     lines += [f"contact         {touch.drone} with {touch.other} at {touch.time:.2f} s" for touch in flight.touches]
     return lines
 

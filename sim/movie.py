@@ -102,7 +102,7 @@ def _frame(ground: Image, pixels: _Pixels, flight: Execution, moment: float) -> 
         color = getrgb(drone_color(i))
         made = flight.flights.get(drone.id)
         for visit in () if made is None else made.visits:
-            if visit.time <= moment and visit.task in flight.outcome.served:
+            if visit.time <= moment and visit.task in flight.measures.served:
                 _disc(draw, pixels(places[visit.task]), 0.7 * size, color)
         if np.isnan(flight.positions[now, i]).any():  # it was lost
             continue

@@ -17,11 +17,11 @@ from flockopt.certificate import Plan
 from flockopt.errors import SceneError, SettingsError
 from flockopt.planning.handover import Changes
 from flockopt.records import checks
-from flockopt.records.arrays import FloatArray
-from flockopt.scene import Point, Scene, Task
+from flockopt.scene import Scene, Task
+from sim.mission.wind import Gust
 
 __all__ = [
-    "KINDS", "DroneLate", "DroneLost", "Event", "EventSettings", "Gust", "TaskAdded", "TaskRemoved", "random_task", "schedule",
+    "KINDS", "DroneLate", "DroneLost", "Event", "EventSettings", "TaskAdded", "TaskRemoved", "random_task", "schedule",
 ]  # fmt: skip
 
 #: What can happen: tasks added and removed, drones lost and late, gusts.
@@ -85,24 +85,6 @@ class DroneLate:
     def changes(self) -> Changes:
         """What it changes."""
         return Changes(late={self.drone: self.seconds})
-
-
-@dataclass(frozen=True)
-class Gust:
-    """The whole air moves for ``duration_s`` from ``time_s`` on, and as fast as ``velocity`` (m/s) in the middle.
-
-    The speed is a discrete gust of one minus cosine, as in MIL-F-8785C, section 3.7.
-    """
-
-    time_s: float
-    duration_s: float
-    velocity: Point
-
-    def __call__(self, time_s: float) -> FloatArray:
-        """(3,) m/s, the air's velocity at a time."""
-        share = (time_s - self.time_s) / self.duration_s
-        strength = 0.5 * (1.0 - math.cos(2.0 * math.pi * share)) if 0.0 < share < 1.0 else 0.0
-        return strength * np.array(self.velocity)
 
 
 Event: TypeAlias = TaskAdded | TaskRemoved | DroneLost | DroneLate | Gust

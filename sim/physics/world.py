@@ -1,10 +1,11 @@
 """A PyBullet world made from a scene: its obstacles, its drones, and what touches what.
 
-A step writes each drone's mean velocity, which `sim.physics.fleet` has worked out from thrust, gravity and drag; PyBullet moves the
-bodies and finds and resolves contacts. A body that nothing is near to ends where that velocity takes it, which is known
-without asking. PyBullet has no calls for many bodies at once, and each call costs as much as a drone's whole controller: so
-it is asked only in steps in which something comes within `REACH_M` of touching, and only the poses and velocities of bodies
-with contact points are read back. Its bodies catch up before such a step (a test flies both ways and compares).
+A step writes each drone's mean velocity, which `sim.physics.fleet` has worked out from thrust, gravity and drag; PyBullet
+moves the bodies and finds and resolves contacts. A body that nothing is near to ends where that velocity takes it, which is
+known without asking. PyBullet has no calls for many bodies at once, and each call costs as much as a drone's whole
+controller: so it is asked only in steps in which something comes within `REACH_M` of touching, and only the poses and
+velocities of bodies with contact points are read back. Its bodies catch up before such a step (a test flies both ways and
+compares).
 """
 
 from __future__ import annotations
@@ -149,8 +150,8 @@ class World:
         """Let the drones move for one step.
 
         Args:
-            states: (N, 17) as in `sim.physics.fleet`, where the drones will be if nothing is in their way; poses and velocities of
-                those that touch something are brought up to date.
+            states: (N, 17) as in `sim.physics.fleet`, where the drones will be if nothing is in their way; poses and
+                velocities of those that touch something are brought up to date.
             drive: (N, 3) velocities to move with, m/s.
             spin: (N, 3) rad/s in the world frame, to turn with.
             time: At the end of the step, s.

@@ -171,7 +171,7 @@ def test_flown_positions_keep_what_the_scene_asks():
         execute(scene, plan(scene, planner="classical", seed=6, bound="fast", tracking_margin_m=margin_m))
         for margin_m in (0.0, MARGIN_M)
     )
-    assert bare.outcome.min_clearance < scene.clearance + 0.01
-    assert kept.outcome.min_clearance > scene.clearance + 0.5 * MARGIN_M
-    assert kept.outcome.min_separation > scene.separation
-    assert kept.outcome.max_tracking_error < MARGIN_M
+    assert bare.measures.min_clearance < scene.clearance + 0.01
+    assert kept.measures.min_clearance > scene.clearance + 0.5 * MARGIN_M
+    assert kept.measures.min_separation > scene.separation
+    assert kept.measures.max_tracking_error < MARGIN_M
