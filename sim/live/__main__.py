@@ -11,8 +11,9 @@ from pathlib import Path
 
 from flockopt import Changes, FlockError, Plan, PlanError, Scene, SettingsError, plan, replan
 from flockopt.records import checks
-from sim.live.page import Page, load_viser
-from sim.live.session import Session
+from sim.live.page import Page
+from sim.live.serving import load_viser
+from sim.live.session import MOST_SPEED, Session
 from sim.trials.trial import TRACKING_MARGIN_M
 
 __all__ = ["main"]
@@ -66,7 +67,10 @@ def _parser() -> argparse.ArgumentParser:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog="python -m sim.live", description=__doc__, epilog=MANUAL, formatter_class=raw)
     parser.add_argument("scene", type=Path, metavar="SCENE", help="scene file")
-    parser.add_argument("--speed", type=float, default=1.0, help="seconds flown for each second on the wall (default 1)")
+    parser.add_argument(
+        "--speed", type=float, default=1.0,
+        help=f"seconds flown for each second on the wall, {MOST_SPEED:g} at most (default 1)",
+    )  # fmt: skip
     parser.add_argument(
         "--port", type=int, default=DEFAULT_PORT,
         help=f"the next free one is taken if it is not; 0 takes any (default {DEFAULT_PORT})",

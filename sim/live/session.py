@@ -25,7 +25,10 @@ from sim.mission.mission import Mission
 from sim.mission.wind import Gust
 from sim.physics.settings import FlightSettings
 
-__all__ = ["Session"]
+__all__ = ["MOST_SPEED", "Session"]
+
+#: Seconds flown for each second on the wall, at most: whoever watches waits while a tick is flown, and a tick is short.
+MOST_SPEED = 8.0
 
 #: Seconds on the wall that one call of `Session.tick` makes up for at most; after longer ones the flight just goes on.
 LONGEST_TICK_S = 0.1
@@ -53,7 +56,7 @@ class Session:
 
     Raises:
         PlanError: If the plan is for another scene or does not hold.
-        SettingsError: If the speed is not positive.
+        SettingsError: If the speed is not positive, or above `MOST_SPEED`.
         MissingExtra: If PyBullet is not installed.
     """
 
@@ -85,12 +88,16 @@ class Session:
 
     @property
     def speed(self) -> float:
-        """Seconds flown for each second on the wall."""
+        """Seconds flown for each second on the wall, above 0 and at most `MOST_SPEED`."""
         return self._speed
 
     @speed.setter
     def speed(self, value: float) -> None:
-        self._speed = checks.number(SettingsError, "speed", value, above=0.0)
+        speed = checks.number(SettingsError, "speed", value, above=0.0)
+        if speed > MOST_SPEED:
+            rule = f"must be at most {MOST_SPEED:g}, so that the page is not kept waiting"
+            raise SettingsError("speed", f"is {speed:g}", rule, "choose less; python -m sim.fly flies as fast as it can")
+        self._speed = speed
 
     @property
     def is_waiting(self) -> bool:
