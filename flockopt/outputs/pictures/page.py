@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flockopt.flights import Flight
-from flockopt.outputs.pictures.motion import Motion, flights_of, sample_motion
+from flockopt.outputs.pictures.motion import SampledMotion, flights_of, sample_motion
 from flockopt.outputs.pictures.style import INK, MUTED, drone_color, extent_z, headline, servers
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Scene
@@ -89,7 +89,7 @@ def _obstacle(record: dict[str, Any], scene: Scene, index: int) -> dict[str, Any
     return {**record, "bottom": bottom, "top": top}
 
 
-def _series(motion: Motion) -> dict[str, Any]:
+def _series(motion: SampledMotion) -> dict[str, Any]:
     """Least distances over time; None where there is nothing to be near to."""
 
     def shown(values: FloatArray) -> list[float] | None:
