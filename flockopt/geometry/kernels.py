@@ -1,7 +1,7 @@
 """Compiled twins of `flockopt.geometry.distances`: distances of one point or segment to one obstacle row.
 
 Kept apart so that importing flockopt does not load numba. Every function is checked against the numpy form in
-tests/unit/test_kernels.py. An obstacle row is as in `flockopt.geometry.distances.OBSTACLE_COLUMNS`.
+tests/unit/geometry/test_kernels.py. An obstacle row is as in `flockopt.geometry.distances.OBSTACLE_COLUMNS`.
 """
 
 from __future__ import annotations

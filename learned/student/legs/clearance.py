@@ -1,6 +1,6 @@
 """Which polylines are clear, compiled: the twins of `leg_clear` and `thinned` in `flockopt.flights.waypoints`.
 
-Kept apart so that numba loads late. tests/unit/test_student_kernels.py checks every function against its plain form.
+Kept apart so that numba loads late. tests/unit/learned/test_student_kernels.py checks every function against its plain form.
 """
 
 from __future__ import annotations
