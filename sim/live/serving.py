@@ -48,7 +48,7 @@ def local_server(port: int, label: str) -> viser.ViserServer:
         SolverFailed: If viser serves pages in another way than this module knows how to guard.
     """
     viser_module = load_viser()
-    origins: list[str | None] = [None]  # until the port is known, no page at all
+    origins: list[Any] = [None]  # until the port is known, no page at all
     with redirect_stdout(StringIO()), _held_to(origins) as guarded:  # it announces itself in a way of its own
         server: viser.ViserServer = viser_module.ViserServer(host=HOST, port=port, label=label, verbose=False)
     if not guarded:
@@ -59,7 +59,7 @@ def local_server(port: int, label: str) -> viser.ViserServer:
 
 
 @contextmanager
-def _held_to(origins: list[str | None]) -> Iterator[list[int]]:
+def _held_to(origins: list[Any]) -> Iterator[list[int]]:
     """Let servers that begin to serve here accept websockets from these origins only; yields the ports that they try.
 
     The package websockets refuses others in the handshake if it is asked to, but viser has no word to ask it.

@@ -27,7 +27,7 @@ class TrialStatus(StrEnum):
     INFEASIBLE = "infeasible", "some task cannot be served", "ask for more drones or fewer tasks"
     ERROR = "error", "it was broken off", "mend what is named, and fly it again in another folder"
 
-    def __new__(cls, word: str, text: str, mend: str) -> TrialStatus:
+    def __new__(cls, word: str, text: str = "", mend: str = "") -> TrialStatus:
         """The member that ``word`` stands for."""
         member = str.__new__(cls, word)
         member._value_ = word
