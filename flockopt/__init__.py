@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from flockopt.flights.smoothing.smooth import smooth
     from flockopt.outputs.devices.export import Export, export
     from flockopt.outputs.pictures.drawing import show
-    from flockopt.planning.pipeline import plan
     from flockopt.planning.handover import Changes
+    from flockopt.planning.pipeline import plan
     from flockopt.planning.replan import replan
     from flockopt.scene import Bounds, Box, Cylinder, Drone, Origin, Scene, Sphere, Task
     from flockopt.scene.families.generate import generate

@@ -13,6 +13,7 @@ from flockopt.batches.progress import StageLine
 from flockopt.cli import text
 from flockopt.errors import MissingExtra, PlanError, SceneError, SettingsError
 from flockopt.records import files
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def plan(options: argparse.Namespace) -> int:
             _draw(scene, path, result)
     if not options.quiet:
         text.emit(text.plan_report(scene, result))
-    return 0 if result.status == "certified" else 1
+    return 0 if result.status == Status.CERTIFIED else 1
 
 
 def verify(options: argparse.Namespace) -> int:
