@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flockopt import FlockError, Plan, Scene
+from flockopt.records.status import Status
 from sim.evaluate import add_event_options, add_flight_options, event_settings, flight_settings
 from sim.mission.events import Event, schedule
 from sim.mission.execution import Execution
@@ -77,7 +78,7 @@ def _account(flight: Execution) -> list[str]:
 
 def _events(events: Sequence[Event], outcome: MissionOutcome) -> list[str]:
     """What happened, and what came of it."""
-    certified = sum(answer.plan.status == "certified" for answer in outcome.answers)
+    certified = sum(answer.plan.status == Status.CERTIFIED for answer in outcome.answers)
     lines = [f"event           {event}" for event in events]
     lines.append(f"answers         {certified} of {len(outcome.answers)} certified, {len(outcome.swapped)} swapped in")
     return lines + [f"not served      {task}: {reason}" for task, reason in outcome.unserved.items()]

@@ -22,7 +22,8 @@ device (the output says why); 2 bad input (one line on stderr says what and how 
 PLAN_EXAMPLES = """examples:
   flockopt plan scene.json -o plan.json
   flockopt plan scene.json -o plan.json --show plan.png --show plan.html
-  flockopt plan scene.json -o plan.json --time-limit 5 --bound tight --seed 3"""
+  flockopt plan scene.json -o plan.json --time-limit 5 --bound tight --seed 3
+  flockopt plan scene.json -o plan.json --planner exact    the least travel, with a proof that verify checks again"""
 
 VERIFY_EXAMPLES = """Nothing in the plan's own certificate is believed: coverage, capacities, limits, clearances,
 separations and the lower bound are computed anew, in continuous time, from the scene and the plan's polynomials.
@@ -132,8 +133,10 @@ def _add_plan(commands: argparse._SubParsersAction) -> None:
     plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
     plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
     plan.add_argument(
-        "--planner", metavar="NAME", help="which planner (default: hybrid where its weights and torch are, else classical)"
-    )
+        "--planner", metavar="NAME",
+        help="who proposes: classical (search), exact (the optimum, proven), ortools, or one that an installed package adds, such "
+        "as hybrid, learned and teacher (default: the best that is ready)",
+    )  # fmt: skip
     plan.add_argument(
         "--paths", default="any-angle", metavar="KIND",
         help="what drones fly along: any-angle, the shortest (default); some planners also know voxel26 and voxel6",
@@ -144,6 +147,7 @@ def _add_plan(commands: argparse._SubParsersAction) -> None:
         "--bound", default="tight", metavar="KIND", choices=("fast", "tight", "exact"),
         help="how hard to work for the lower bound: fast, tight or exact (default: tight)",
     )  # fmt: skip
+    plan.add_argument("--backend", metavar="NAME", help="what computes a planner's networks (default: the best installed)")
     plan.add_argument("--smooth", action="store_true", help="smooth the flights: done earlier, with less jerk (needs casadi)")
     plan.add_argument(
         "--tracking-margin", type=_metres, default=0.0, metavar="M",

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from learned.teacher.allocators import Allocator
 
 __all__ = [
-    "allocator", "bundles_of", "control_points", "magnnet", "magnnet_bundling", "refined", "teacher", "teacher_unrefined",
+    "MAGNNET", "MAGNNET_BUNDLING", "TEACHER", "TEACHER_UNREFINED", "allocator", "bundles_of", "control_points", "refined",
 ]  # fmt: skip
 
 #: What MAGNNET says of the tasks it leaves.
@@ -122,13 +122,7 @@ def control_points(scene: Scene, bundles: Bundles, leg: LegPlanner) -> FloatArra
     return np.stack([np.concatenate([path, np.repeat(path[-1:], most - len(path), axis=0)]) for path in paths])
 
 
-def _planner(method: str, *, refines: bool = False) -> Planner:
-    planner = partial(_propose, method=method, refines=refines)
-    planner.paths = PATHS  # type: ignore[attr-defined]
-    return planner
-
-
-magnnet = _planner("magnnet")
-magnnet_bundling = _planner("magnnet-bundling")
-teacher = _planner("teacher", refines=True)
-teacher_unrefined = _planner("teacher")
+MAGNNET = Planner(partial(_propose, method="magnnet"), "magnnet", PATHS)
+MAGNNET_BUNDLING = Planner(partial(_propose, method="magnnet-bundling"), "magnnet-bundling", PATHS)
+TEACHER = Planner(partial(_propose, method="teacher", refines=True), "teacher", PATHS)
+TEACHER_UNREFINED = Planner(partial(_propose, method="teacher"), "teacher-unrefined", PATHS)

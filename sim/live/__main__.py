@@ -11,6 +11,7 @@ from pathlib import Path
 
 from flockopt import Changes, FlockError, Plan, PlanError, Scene, SettingsError, plan, replan
 from flockopt.records import checks
+from flockopt.records.status import Status
 from sim.live.page import Page
 from sim.live.serving import load_viser
 from sim.live.session import MOST_SPEED, Session
@@ -97,7 +98,7 @@ def _planned(scene: Scene, options: argparse.Namespace) -> Plan:
     """The first plan, once replanning is warmed up too, so that the first order is answered as fast as the others."""
     print(f"planning {scene.name}: {scene.num_drones} drones, {scene.num_tasks} tasks", flush=True)
     made = plan(scene, planner=options.planner, seed=options.seed, tracking_margin_m=options.tracking_margin)
-    if made.status != "certified":
+    if made.status != Status.CERTIFIED:
         mend = "try another seed, or --tracking-margin 0"
         raise PlanError("plan", f"is {made.status} {made.reason}".rstrip(), "only certified plans are flown", mend)
     replan(scene, made, 0.0, Changes(), seed=options.seed, tracking_margin_m=options.tracking_margin)

@@ -15,6 +15,7 @@ from flockopt.certificate import Plan
 from flockopt.certificate.case import check_names
 from flockopt.planning.handover import Changes
 from flockopt.planning.replan import FREEZE_S, Replanned
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from sim.mission import flying, orders
@@ -151,7 +152,7 @@ class Mission:
             if not self.state.open:
                 return
             plan = self.replan(Changes()).plan
-            if plan.status != "certified" or not any(plan.routes.values()):
+            if plan.status != Status.CERTIFIED or not any(plan.routes.values()):
                 return
 
     def finish(self) -> MissionOutcome:

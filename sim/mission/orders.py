@@ -8,6 +8,7 @@ from dataclasses import replace
 from flockopt.errors import SettingsError
 from flockopt.planning.handover import Changes, too_near
 from flockopt.planning.replan import Replanned, replan
+from flockopt.records.status import Status
 from sim.mission.flying import end_leg, follow, swap_if_due
 from sim.mission.state import MissionState
 
@@ -43,7 +44,7 @@ def carry_out(state: MissionState, changes: Changes) -> Replanned:
     state.ledger = ledger
     _lose(state, changes.lost)
     state.answers.append(answer)
-    if answer.plan.status == "certified":
+    if answer.plan.status == Status.CERTIFIED:
         state.pending = answer
         swap_if_due(state)
     else:

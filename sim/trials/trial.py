@@ -14,6 +14,7 @@ from flockopt.errors import FlockError
 from flockopt.planning.pipeline import plan
 from flockopt.planning.planners import ANY_ANGLE
 from flockopt.planning.replan import FREEZE_S
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.scene.families.generate import generate
 from flockopt.travel import Travel
@@ -216,7 +217,7 @@ def _event_columns(events: Sequence[Event], mission: MissionOutcome) -> dict[str
         "replans": len(mission.answers),
         "swaps": len(mission.swapped),
         "swaps_certified": sum(certify(answer.scene, answer.plan).certified for answer in mission.swapped),
-        "refused": sum(answer.plan.status != "certified" for answer in mission.answers),
+        "refused": sum(answer.plan.status != Status.CERTIFIED for answer in mission.answers),
         "unserved": len(mission.unserved),
         "unexplained": len(mission.unexplained),
         "reasons": "; ".join(f"{task}: {reason}" for task, reason in mission.unserved.items()),

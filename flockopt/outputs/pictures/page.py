@@ -25,7 +25,7 @@ CODE = {"__VIEW__": "view.js", "__PLAYER__": "player.js"}
 
 def page(scene: Scene, plan: Plan | None = None) -> str:
     """The page's content: template, view, player and the flight's data in one text."""
-    parts = files("flockopt.show")
+    parts = files("flockopt.outputs.pictures")
     text = (parts / "page.html").read_text(encoding="utf-8")
     flight = json.dumps(_flight(scene, plan), separators=(",", ":"), allow_nan=False)
     pieces = {mark: (parts / name).read_text(encoding="utf-8") for mark, name in CODE.items()}

@@ -19,7 +19,7 @@ pytest.importorskip("pybullet", reason="pybullet comes with the extra 'sim'")
 
 from flockopt import MissingExtra, SettingsError
 from flockopt.batches.backends import BACKENDS, open_backend
-from flockopt.certificate.plan_file import STATUSES as PLAN_STATUSES
+from flockopt.records.status import PLAN_STATUSES
 from sim import evaluate
 from sim.trials.batch import MOST_DEATHS, run_batch
 from sim.trials.journal import ROWS, Journal
