@@ -148,7 +148,7 @@ def _trials(options: argparse.Namespace) -> list[Trial]:
     scenes = checks.integer(SettingsError, "scenes", options.scenes, least=1)
     seed = checks.integer(SettingsError, "seed", options.seed, least=0)
     options.jobs = checks.integer(SettingsError, "jobs", options.jobs, least=1)
-    find_planner(options.planner, options.paths)
+    find_planner(options.planner).check_paths(options.paths)
     if options.backend not in BACKENDS:
         raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
     if options.time_limit is not None:

@@ -14,6 +14,7 @@ from flockopt.errors import FlockError
 from flockopt.planning.pipeline import plan
 from flockopt.planning.planners import ANY_ANGLE
 from flockopt.planning.replan import FREEZE_S
+from flockopt.planning.settings import PlanSettings
 from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.scene.families.generate import generate
@@ -90,6 +91,18 @@ class Trial:
         """Its name, one of a kind in its batch: that of its scene."""
         return f"{self.family}-{self.drones}x{self.tasks}-{self.seed}"
 
+    @property
+    def planning(self) -> PlanSettings:
+        """How its plan is made.
+
+        Raises:
+            SettingsError: On a value that is out of range.
+        """
+        return PlanSettings(
+            planner=self.planner, time_limit_s=self.time_limit_s, seed=self.seed, tracking_margin_m=self.tracking_margin_m,
+            paths=self.paths,
+        )  # fmt: skip
+
     def scene(self) -> Scene:
         """The scene itself.
 
@@ -100,10 +113,7 @@ class Trial:
 
     def plan(self, scene: Scene) -> Plan:
         """The plan to be flown in it."""
-        return plan(
-            scene, planner=self.planner, time_limit_s=self.time_limit_s, seed=self.seed,
-            tracking_margin_m=self.tracking_margin_m, paths=self.paths,
-        )  # fmt: skip
+        return plan(scene, self.planning)
 
     def happenings(self, scene: Scene, made: Plan) -> tuple[Event, ...]:
         """What happens to the plan in flight."""
