@@ -46,7 +46,9 @@ def test_every_public_name_is_there():
 
 def test_a_function_stays_in_view_whatever_is_loaded():
     """No module bears the name of a public function, so that loading one cannot hide it."""
-    code = "import flockopt, flockopt.planning.pipeline, flockopt.certificate.judge, flockopt.cli.main\nfrom flockopt import plan"
+    code = (
+        "import flockopt, flockopt.planning.pipeline, flockopt.certificate.judge, flockopt.cli.main\nfrom flockopt import plan"
+    )
     code += "\nprint(callable(plan), *(callable(getattr(flockopt, name)) for name in ('plan', 'certify', 'show', 'export')))"
     assert in_new_process(code) == ["True"] * 5
     assert not {f"flockopt.{name}" for name in flockopt.__all__} & set(sys.modules)

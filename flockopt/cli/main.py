@@ -134,8 +134,8 @@ def _add_plan(commands: argparse._SubParsersAction) -> None:
     plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
     plan.add_argument(
         "--planner", metavar="NAME",
-        help="who proposes: classical (search), exact (the optimum, proven), ortools, or one that an installed package adds, such "
-        "as hybrid, learned and teacher (default: the best that is ready)",
+        help="who proposes: classical (search), exact (the optimum, proven), ortools, or one that an installed package adds, "
+        "such as hybrid, learned and teacher (default: the best that is ready)",
     )  # fmt: skip
     plan.add_argument(
         "--paths", default="any-angle", metavar="KIND",

@@ -109,7 +109,8 @@ class Planner:
     rank: int = 0
 
     def __post_init__(self) -> None:
-        if not callable(self.propose):
+        propose: object = self.propose
+        if not callable(propose):
             seen = f"is {checks.shown(self.propose)}"
             raise SettingsError("propose", seen, "must be a function from a request to a proposal", "give one")
         name = self.name or getattr(self.propose, "__name__", "")

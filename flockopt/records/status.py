@@ -28,7 +28,7 @@ class Status(StrEnum):
         "uncertified", "some clause of the certificate fails", "read which, and where; do not fly the plan as it is",
     )  # fmt: skip
 
-    def __new__(cls, word: str, text: str, mend: str) -> Status:
+    def __new__(cls, word: str, text: str = "", mend: str = "") -> Status:
         """A member of this word, with its text and its mend."""
         member = str.__new__(cls, word)
         member._value_ = word
