@@ -3,8 +3,8 @@
     python -m learned.demonstrations --scenes 20000 --seed 0 --jobs 2 --teacher search --out runs/demonstrations
 
 Killed and started again, it goes on where it stopped; asked for more scenes, it adds them. The same settings give the same
-bytes, whatever the number of jobs. `learned.demonstrations.shards.load_demonstrations` reads them; docs/demonstrations.md says what
-is in them. Exit status 0, or 2 on bad input.
+bytes, whatever the number of jobs. `learned.demonstrations.shards.load_demonstrations` reads them; docs/demonstrations.md
+says what is in them. Exit status 0, or 2 on bad input.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from learned.demonstrations.scenes import SceneMix
 __all__ = ["ShardWriter", "add_options", "mix_of", "write_with_bar"]
 
 
-#: Writes the shards that a folder does not hold yet, as `learned.demonstrations.shard_runs.ShardRun.go` does: folder, number of scenes,
-#: and the keywords jobs, backend, begun, done, warn.
+#: Writes the shards that a folder does not hold yet, as `learned.demonstrations.shard_runs.ShardRun.go` does: folder, number
+#: of scenes, and the keywords jobs, backend, begun, done, warn.
 ShardWriter: TypeAlias = Callable[..., None]
 
 

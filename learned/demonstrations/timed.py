@@ -3,8 +3,8 @@
     python -m learned.demonstrations.timed --scenes 3000 --seed 0 --out runs/timed
 
 Killed and started again, it goes on where it stopped; asked for more scenes, it adds them. The same settings give the same
-bytes, whatever the number of jobs. `learned.demonstrations.timed_shards.load_stages` reads them; docs/timed-flights.md says what is in
-them. Exit status 0, or 2 on bad input.
+bytes, whatever the number of jobs. `learned.demonstrations.timed_shards.load_stages` reads them; docs/timed-flights.md says
+what is in them. Exit status 0, or 2 on bad input.
 """
 
 from __future__ import annotations

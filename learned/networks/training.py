@@ -9,7 +9,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -19,8 +19,9 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from flockopt.batches.progress import ProgressBar
 from flockopt.errors import SettingsError
 from learned.networks.checkpoint import restore, save_checkpoint
+from learned.networks.schedule import PRECISIONS, Schedule
 
-__all__ = ["PRECISIONS", "Learner", "Run", "add_run_options", "held_out", "is_bfloat16", "rate_at", "settings_of"]
+__all__ = ["Learner", "Run", "add_run_options", "held_out", "is_bfloat16", "settings_of"]
 
 #: Of the examples, this share is held out to measure on.
 HELD_OUT_SHARE = 0.05
@@ -31,26 +32,8 @@ CHECKPOINT_STEPS, LOG_STEPS = 250, 25
 #: On the few tokens of a drone the fused kernels' backward pass takes several times longer, in bfloat16 on CPUs.
 SHORT_SEQUENCES = [SDPBackend.MATH]
 
-#: ``auto`` is bfloat16 where the hardware multiplies in it, float32 elsewhere.
-PRECISIONS = ("auto", "float32", "bfloat16")
-
-#: The learning rate ends at this share of its highest.
-LAST_RATE = 0.02
-
 Item = TypeVar("Item")
 Settings = TypeVar("Settings")
-
-
-class Schedule(Protocol):
-    """The settings that every training has."""
-
-    steps: int
-    learning_rate: float
-    warmup_steps: int
-    weight_decay: float
-    ema_decay: float
-    clip: float
-    precision: str
 
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -100,7 +83,7 @@ class Learner(ABC, Generic[Network]):
         """One step of the optimiser; the loss's terms."""
         settings = self._schedule
         for group in self.optimiser.param_groups:
-            group["lr"] = settings.learning_rate * rate_at(self.step, settings.steps, settings.warmup_steps)
+            group["lr"] = settings.rate_at(self.step)
         with sdpa_kernel(self.attention):
             with torch.autocast(self.device.type, torch.bfloat16, enabled=is_bfloat16(settings.precision, self.device)):
                 total, terms = self._losses()
@@ -207,14 +190,6 @@ def add_run_options(parser: argparse.ArgumentParser, defaults: Any, whole: Seque
 def settings_of(options: argparse.Namespace, kind: Callable[..., Settings], fields: Sequence[str]) -> Settings:
     """Settings from the options that were given; the others keep their defaults."""
     return kind(**{name: getattr(options, name) for name in fields if getattr(options, name, None) is not None})
-
-
-def rate_at(step: int, steps: int, warmup_steps: int) -> float:
-    """The learning rate's share of its highest: it rises, then falls along a cosine."""
-    if step < warmup_steps:
-        return (step + 1) / warmup_steps
-    share = (step - warmup_steps) / max(steps - warmup_steps, 1)
-    return LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + math.cos(math.pi * share))
 
 
 def is_bfloat16(precision: str, device: torch.device) -> bool:

@@ -1,7 +1,8 @@
 """What the network of timed flights minimises: first the distance to the teacher's stages, then the cost itself.
 
-The cost is that of `flockopt.flights.smoothing.smooth`: shares of duration and squared jerk, after the stage has been slowed until
-it keeps its limits, and a penalty on what would have it refused: too near to obstacles, out of bounds, slower than before.
+The cost is that of `flockopt.flights.smoothing.smooth`: shares of duration and squared jerk, after the stage has been slowed
+until it keeps its limits, and a penalty on what would have it refused: too near to obstacles, out of bounds, slower than
+before.
 """
 
 from __future__ import annotations

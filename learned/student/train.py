@@ -36,7 +36,7 @@ from learned.student.scenes.batch import FleetBatch, collate
 from learned.student.scenes.demonstrated import example_of
 from learned.student.scenes.examples import Example
 from learned.student.settings import CONFIGS
-from learned.student.training_settings import TrainingSettings
+from learned.student.training_settings import StudentTrainingSettings
 
 __all__ = ["Trainer", "main"]
 
@@ -60,7 +60,7 @@ class Trainer(Learner[Student]):
         world: How many processes there are.
     """
 
-    def __init__(self, settings: TrainingSettings, examples: Sequence[Example], rank: int = 0, world: int = 1) -> None:
+    def __init__(self, settings: StudentTrainingSettings, examples: Sequence[Example], rank: int = 0, world: int = 1) -> None:
         self.settings, self.examples, self.rank, self.world = settings, examples, rank, world
         torch.manual_seed(settings.seed)
         student = Student(CONFIGS[settings.config])
@@ -126,7 +126,7 @@ def _spread(student: Student, examples: Sequence[Example]) -> Tensor:
 
 
 def run(
-    settings: TrainingSettings,
+    settings: StudentTrainingSettings,
     data: Sequence[Path],
     out: Path,
     rank: int,
@@ -162,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     torch.set_num_threads(options.threads)
     try:
-        settings = settings_of(options, TrainingSettings, list(TrainingSettings.__dataclass_fields__))
+        settings = settings_of(options, StudentTrainingSettings, list(StudentTrainingSettings.__dataclass_fields__))
         if world > 1:
             distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
         if rank == 0:
@@ -181,7 +181,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m learned.student.train", description=(__doc__ or "").split("\n")[0])
-    defaults = TrainingSettings()
+    defaults = StudentTrainingSettings()
     parser.add_argument("--config", choices=CONFIGS, help=f"(default {defaults.config})")
     parser.add_argument("--store-as", choices=STORAGES, default=STORAGES[0], help=f"of the weights (default {STORAGES[0]})")
     whole = ("steps", "scenes_per_step", "warmup_steps", "seed")

@@ -18,7 +18,7 @@ from pathlib import Path
 from flockopt import FlockError, MissingExtra, SettingsError
 from flockopt.batches.progress import ProgressBar
 from flockopt.records import checks, files
-from learned.teacher.training.settings import METHODS, TrainingSettings
+from learned.teacher.training.settings import METHODS, AllocatorTrainingSettings
 
 __all__ = ["main"]
 
@@ -47,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--threads", type=int, default=1, help="of torch (default 1)")
     parser.add_argument("--install", action="store_true", help="copy the weights to learned/weights at the end")
     settings = parser.add_argument_group("settings of the training")
-    for field in dataclasses.fields(TrainingSettings):
+    for field in dataclasses.fields(AllocatorTrainingSettings):
         if field.name not in ("method", "seed"):
             flag = "--" + field.name.replace("_", "-")
             settings.add_argument(flag, type=type(field.default), metavar="X", help=f"default {field.default:g}")
@@ -55,9 +55,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _train(options: argparse.Namespace) -> None:
-    names = [field.name for field in dataclasses.fields(TrainingSettings)]
+    names = [field.name for field in dataclasses.fields(AllocatorTrainingSettings)]
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    settings = TrainingSettings.from_dict(given)
+    settings = AllocatorTrainingSettings.from_dict(given)
     threads = checks.integer(SettingsError, "threads", options.threads, least=1)
     checks.integer(SettingsError, "jobs", options.jobs, least=1)
     try:

@@ -1,8 +1,8 @@
 """The student compiled by OpenVINO: the same outputs, sooner.
 
 OpenVINO is fastest where it knows all sizes. So scenes, drones, tasks, rows and legs are padded to a few sizes, and each
-graph is compiled once for each of these, for one thread, and kept on disk (`learned.student.backends.compiled_files`), where the
-next process finds it.
+graph is compiled once for each of these, for one thread, and kept on disk (`learned.student.backends.compiled_files`),
+where the next process finds it.
 """
 
 from __future__ import annotations

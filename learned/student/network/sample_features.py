@@ -1,4 +1,4 @@
-"""What the samples of one drone's straight way are told of their surroundings, compiled: twin of `learned.student.network.leg_frame`.
+"""What the samples of one drone's straight way are told of their surroundings: `learned.student.network.leg_frame`, compiled.
 
 For inference, where many small tensor operations would take longer than the network. Same features, float64 inside.
 """
@@ -28,7 +28,7 @@ def told_of(
     space: Obstructions, need: float, leg_begin: IntArray, leg_end: IntArray, blocked: NDArray[np.bool_],
     straight: FloatArray, nearest: int,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """(T, 3 + 13 + 15 nearest) features of one drone's samples, as `learned.student.network.leg_frame.sample_features` has them.
+    """(T, 3 + 13 + 15 nearest) features of one drone's samples: twin of `learned.student.network.leg_frame.sample_features`.
 
     Before them are three zeros, in the place of the noisy sample that the denoiser reads with them.
 
@@ -125,7 +125,7 @@ def _tell_of_one(obstacle: FloatArray, unit: float, axes: FloatArray, point: Flo
 def add_residuals(
     need: float, leg_begin: IntArray, leg_end: IntArray, straight: FloatArray, residuals: NDArray[np.float32]
 ) -> FloatArray:
-    """(C, T, 3) m: tries from their residuals (C, T, 3), as `learned.student.network.leg_frame.to_points`; anchors stay exact."""
+    """(C, T, 3) m: tries from their residuals (C, T, 3): twin of `learned.student.network.leg_frame.to_points`."""
     unit = max(NEEDS_PER_UNIT * need, LEAST_UNIT_M)
     points = np.empty(residuals.shape)
     for sample in range(len(straight)):

@@ -11,7 +11,7 @@ from learned.teacher import ppo
 from learned.teacher.actors.critic import CentralCritic
 from learned.teacher.episodes import Moment, play
 from learned.teacher.problems import Problems
-from learned.teacher.training.settings import TrainingSettings
+from learned.teacher.training.settings import AllocatorTrainingSettings
 
 __all__ = ["Learner", "Progress"]
 
@@ -58,7 +58,9 @@ class Learner:
         generator: Of everything random.
     """
 
-    def __init__(self, actor: nn.Module, critic: CentralCritic, settings: TrainingSettings, generator: torch.Generator) -> None:
+    def __init__(
+        self, actor: nn.Module, critic: CentralCritic, settings: AllocatorTrainingSettings, generator: torch.Generator
+    ) -> None:
         self.actor, self.critic, self.settings, self.generator = actor, critic, settings, generator
         self.parameters = [*actor.parameters(), *critic.parameters()]
         self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5)

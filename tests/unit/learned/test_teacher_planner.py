@@ -18,6 +18,7 @@ from learned.teacher import planner
 from learned.teacher.planner import bundles_of, control_points
 from tests.flights import drone, make_scene
 
+
 @dataclass
 class Allocation:
     routes: tuple
