@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.planning import CITIES, Case, warm_up
-from benchmarks.report import Rows, header, markdown_table, write_summary
+from benchmarks.planning import CITIES, PlanningCase, warm_up
+from benchmarks.report import CsvRows, header, markdown_table, write_summary
 from flockopt import FlockError, Scene, generate, plan
 from flockopt.scene.families.layouts import FAMILIES
 from sim.mission.execute import execute
@@ -42,10 +42,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every flight was certified, complete and without contact."""
     options = _parser().parse_args(argv)
     settings = FlightSettings(vehicle=options.vehicle, controller=options.controller)
-    rows = Rows(options.out / "execution.csv", COLUMNS)
+    rows = CsvRows(options.out / "execution.csv", COLUMNS)
     warm_up(options.planner)
     cases = [
-        Case(family, options.drones, options.tasks, options.seed + offset)
+        PlanningCase(family, options.drones, options.tasks, options.seed + offset)
         for family in options.families
         for offset in range(1 if family in CITIES else options.scenes)
     ]
@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _row(case: Case, options: argparse.Namespace, settings: FlightSettings) -> dict[str, Any]:
+def _row(case: PlanningCase, options: argparse.Namespace, settings: FlightSettings) -> dict[str, Any]:
     scene = case.scene()
     record: dict[str, Any] = dict.fromkeys(COLUMNS) | {
         "scene": scene.sha256[:12], "family": case.family, "seed": case.seed, "drones": scene.num_drones,

@@ -18,10 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.allocators import nearest_task
-from benchmarks.report import Rows, header, markdown_table, write_summary
-from flockopt import FlockError, Scene, compute_travel, generate
+from benchmarks.report import CsvRows, header, markdown_table, write_summary
+from flockopt import Scene, compute_travel, generate
 from flockopt.bundles.bundles import insertion_cost
 from flockopt.bundles.exact.exact import solve_exact
+from flockopt.cli.status import run_command
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from learned.teacher.allocators import Allocation, load_allocator
@@ -48,11 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--magnnet", type=Path, help="MAGNNET's weights (default those of the package)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     options = parser.parse_args(argv)
-    try:
-        return _run(options)
-    except FlockError as fault:
-        print(f"benchmarks.learned_allocation: {fault}", file=sys.stderr)
-        return 2
+    return run_command("benchmarks.learned_allocation", lambda: _run(options))
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -69,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
     found["nearest task, one each"] = _greedy([_with_one_each(scene) for scene in scenes], travels)
     optima = [solve_exact(scene, travel, time_limit_s=PROOF_S).proven for scene, travel in zip(scenes, travels, strict=True)]
     assignments = [optimal_one_task_cost(travel.start_task) for travel in travels]
-    rows = Rows(options.out / "learned_allocation.csv", COLUMNS)
+    rows = CsvRows(options.out / "learned_allocation.csv", COLUMNS)
     for method, allocations in found.items():
         references = assignments if method in ONE_TASK else optima
         for scene, travel, allocation, reference in zip(scenes, travels, allocations, references, strict=True):

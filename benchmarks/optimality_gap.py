@@ -24,8 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.allocators import Allocator, allocator
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.allocators import AllocationMethod, allocator
+from benchmarks.report import CsvRows, header, markdown_table, spread, write_summary
 from flockopt import FlockError, Scene, compute_travel, generate, lower_bound
 from flockopt.bundles import Bundles
 from flockopt.bundles.exact.exact import OPTIMAL_GAP, solve_exact
@@ -46,7 +46,7 @@ AT_OPTIMUM = 1e-6
 
 
 @dataclass(frozen=True)
-class Case:
+class AllocationCase:
     """One scene: how many drones and tasks, with obstacles or not, and the seed."""
 
     drones: int
@@ -92,9 +92,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     methods = {name: allocator(name) for name in options.methods.split(",")}
     cases = list(_cases(options))
-    rows = Rows(options.out / "optimality_gap.csv", COLUMNS)
-    bounds = Rows(options.out / "bounds.csv", BOUND_COLUMNS)
-    groups: dict[str, list[Case]] = {}
+    rows = CsvRows(options.out / "optimality_gap.csv", COLUMNS)
+    bounds = CsvRows(options.out / "bounds.csv", BOUND_COLUMNS)
+    groups: dict[str, list[AllocationCase]] = {}
     for number, case in enumerate(cases, start=1):
         scene, travel = case.make()
         if not groups:
@@ -122,15 +122,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _cases(options: argparse.Namespace) -> Iterator[Case]:
+def _cases(options: argparse.Namespace) -> Iterator[AllocationCase]:
     kinds = {"with": (True,), "without": (False,), "both": (False, True)}[options.obstacles]
     for has_obstacles in kinds:
         for size in options.sizes.split(","):
             drones, tasks = (int(part) for part in size.split("x"))
-            yield from (Case(drones, tasks, options.seed + offset, has_obstacles) for offset in range(options.scenes))
+            yield from (AllocationCase(drones, tasks, options.seed + offset, has_obstacles) for offset in range(options.scenes))
 
 
-def _warm_up(methods: dict[str, Allocator], scene: Scene, travel: Travel) -> None:
+def _warm_up(methods: dict[str, AllocationMethod], scene: Scene, travel: Travel) -> None:
     """Everything once, so that nothing is loaded or compiled while the clock runs; faults come up again later."""
     for method in methods.values():
         _timed(method, scene, travel, 0)
@@ -138,7 +138,7 @@ def _warm_up(methods: dict[str, Allocator], scene: Scene, travel: Travel) -> Non
         lower_bound(scene, travel, bound=kind)
 
 
-def _timed(method: Allocator, scene: Scene, travel: Travel, seed: int) -> tuple[float, Bundles | None]:
+def _timed(method: AllocationMethod, scene: Scene, travel: Travel, seed: int) -> tuple[float, Bundles | None]:
     """Seconds, and the bundles if they serve every task; None for a method that fails on the scene."""
     began = time.perf_counter()
     try:
@@ -155,7 +155,13 @@ def _timed(method: Allocator, scene: Scene, travel: Travel, seed: int) -> tuple[
 
 
 def _judge(
-    case: Case, scene: Scene, travel: Travel, methods: dict[str, Allocator], reference_s: float, rows: Rows, bounds: Rows
+    case: AllocationCase,
+    scene: Scene,
+    travel: Travel,
+    methods: dict[str, AllocationMethod],
+    reference_s: float,
+    rows: CsvRows,
+    bounds: CsvRows,
 ) -> None:
     """All methods and all bounds on one scene."""
     results = {name: _timed(method, scene, travel, case.seed) for name, method in methods.items()}
@@ -190,7 +196,7 @@ def _judge(
         bounds.add({**about, "bound_kind": bound_kind, "seconds": seconds, **told})
 
 
-def _of(group: list[Case], records: list[dict[str, object]]) -> list[dict[str, object]]:
+def _of(group: list[AllocationCase], records: list[dict[str, object]]) -> list[dict[str, object]]:
     names = {case.name for case in group}
     return [record for record in records if record["scene"] in names]
 
@@ -199,7 +205,7 @@ def _numbers(records: list[dict[str, object]], key: str) -> list[float]:
     return [float(record[key]) for record in records if record[key] != ""]  # type: ignore[arg-type]
 
 
-def _summary(groups: dict[str, list[Case]], rows: list[dict[str, object]], bounds: list[dict[str, object]]) -> str:
+def _summary(groups: dict[str, list[AllocationCase]], rows: list[dict[str, object]], bounds: list[dict[str, object]]) -> str:
     gaps, ratios = [], []
     for name, group in groups.items():
         own = _of(group, rows)
@@ -238,7 +244,7 @@ def _summary(groups: dict[str, list[Case]], rows: list[dict[str, object]], bound
     )
 
 
-def _plot(groups: dict[str, list[Case]], rows: list[dict[str, object]], path: Path) -> None:
+def _plot(groups: dict[str, list[AllocationCase]], rows: list[dict[str, object]], path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.2 * len(groups), 3.8), layout="constrained")

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, header, markdown_table, spread, write_summary
 from flockopt import FlockError, Scene, generate, plan
 from flockopt.bundles.bundles import bundle_compactness, insertion_cost, tasks_per_drone_std
 from flockopt.bundles.refine import refine_bundles
@@ -120,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     torch.set_num_threads(1)
     PLANNERS.update({name: planner for name, planner in OURS.items() if name not in PLANNERS})
     left_out = _left_out()
-    rows = Rows(options.out / "pipeline.csv", COLUMNS)
+    rows = CsvRows(options.out / "pipeline.csv", COLUMNS)
     chosen = {name: pipeline for name, pipeline in PIPELINES.items() if name not in left_out}
     for number in range(options.scenes):
         family, seed = options.families[number % len(options.families)], options.seed + number

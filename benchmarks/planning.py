@@ -18,7 +18,7 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from benchmarks.report import Rows, header, markdown_table, peak_memory_gb, spread, write_summary
+from benchmarks.report import CsvRows, header, markdown_table, peak_memory_gb, spread, write_summary
 from flockopt import FlockError, Scene, generate, plan
 from flockopt.scene.families.layouts import FAMILIES
 
@@ -37,7 +37,7 @@ CITY_REPEATS = 5
 
 
 @dataclass(frozen=True)
-class Case:
+class PlanningCase:
     """One scene to plan: a family with a size and a seed, or a city block."""
 
     family: str
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every scene is certified."""
     options = _parser().parse_args(argv)
     cases = list(_cases(options))
-    rows = Rows(options.out / "planning.csv", COLUMNS)
+    rows = CsvRows(options.out / "planning.csv", COLUMNS)
     work = Parallel(n_jobs=options.jobs, return_as="generator")(delayed(run)(case, options.planner) for case in cases)
     for number, record in enumerate(work, start=1):
         rows.add(record)
@@ -82,14 +82,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _cases(options: argparse.Namespace) -> Iterator[Case]:
+def _cases(options: argparse.Namespace) -> Iterator[PlanningCase]:
     for family in options.families:
         if family in CITIES:
-            yield from (Case(family, 0, 0, options.seed + repeat) for repeat in range(min(CITY_REPEATS, options.scenes)))
+            yield from (
+                PlanningCase(family, 0, 0, options.seed + repeat) for repeat in range(min(CITY_REPEATS, options.scenes))
+            )
             continue
         for size in options.sizes:
             drones, tasks = (int(part) for part in size.split("x"))
-            yield from (Case(family, drones, tasks, options.seed + offset) for offset in range(options.scenes))
+            yield from (PlanningCase(family, drones, tasks, options.seed + offset) for offset in range(options.scenes))
 
 
 @cache
@@ -98,7 +100,7 @@ def warm_up(planner: str) -> None:
     plan(generate("rooms", drones=3, tasks=6, seed=0), planner=planner)
 
 
-def run(case: Case, planner: str) -> dict[str, object]:
+def run(case: PlanningCase, planner: str) -> dict[str, object]:
     """Plan one scene and describe the outcome as a row."""
     warm_up(planner)
     scene = case.scene()

@@ -18,8 +18,9 @@ from time import perf_counter
 
 import numpy as np
 
-from benchmarks.report import Rows, header, markdown_table, write_summary
+from benchmarks.report import CsvRows, header, markdown_table, write_summary
 from flockopt import Bounds, Drone, Scene, SettingsError, Task, refine_bundles
+from flockopt.cli.status import run_command
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.travel import straight_travel
 
@@ -89,12 +90,12 @@ class Instances:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every instance is served whole."""
     options = _parser().parse_args(argv)
-    try:
-        instances = Instances.load(options.data)
-    except SettingsError as fault:
-        print(fault, file=sys.stderr)
-        return 2
-    rows = Rows(options.out / "public_instances.csv", COLUMNS)
+    return run_command("benchmarks.public_instances", lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    instances = Instances.load(options.data)
+    rows = CsvRows(options.out / "public_instances.csv", COLUMNS)
     count = min(options.instances or len(instances), len(instances))
     _solve(instances, 0, options)
     for index in range(count):

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, header, markdown_table, spread, write_summary
 from flockopt import Changes, Scene, compute_travel, generate, plan, refine_bundles, replan
 from flockopt.certificate import Plan
 from flockopt.planning.replan import Replanned
@@ -44,7 +44,7 @@ SCRATCH_ITERATIONS = 40_000
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every event ends in a certified plan."""
     options = _parser().parse_args(argv)
-    rows = Rows(options.out / "replanning.csv", COLUMNS)
+    rows = CsvRows(options.out / "replanning.csv", COLUMNS)
     list(_events(options, options.families[0], 1))  # a warm-up that does not count
     share = -(-options.events // len(options.families))
     for family in options.families:
@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _events(options: argparse.Namespace, family: str, count: int) -> Iterator[dict[str, object]]:
-    """Rows of ``count`` events that strike flights through scenes of one family."""
+    """CsvRows of ``count`` events that strike flights through scenes of one family."""
     seed, margin_m = options.seed, options.tracking_margin
     while count > 0:
         scene = generate(family, drones=options.drones, tasks=options.tasks, seed=seed)

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["Rows", "header", "markdown_table", "peak_memory_gb", "spread", "write_summary"]
+__all__ = ["CsvRows", "header", "markdown_table", "peak_memory_gb", "spread", "write_summary"]
 
 
-class Rows:
+class CsvRows:
     """A CSV file that holds every row as soon as it is known.
 
     Args:

@@ -35,7 +35,7 @@ from typing import TypeAlias
 import numpy as np
 import torch
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, header, markdown_table, spread, write_summary
 from flockopt import Scene, generate, refine_bundles
 from flockopt.bundles import Bundles
 from flockopt.bundles.bounds.bounds import lower_bound
@@ -55,7 +55,7 @@ from flockopt.travel.travel import straight_travel
 from learned.paths.rollout import route_legs
 from learned.paths.voxels import VoxelSettings, voxel_oracle
 from learned.student.backends.choice import network
-from learned.student.inference import Drawing, Network, decide
+from learned.student.inference import DrawnFleet, Network, decide
 from learned.student.network.model import Student
 from learned.student.network.rows import rows_of
 from learned.student.planner import STEPS, drawn_plans, searched_plan, shipped_student
@@ -92,7 +92,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Outcome:
+class WaysFound:
     """What a pipeline made of a scene.
 
     Attributes:
@@ -125,7 +125,7 @@ class Clock:
         return process_time() - self._cpu_s, perf_counter() - self._wall_s
 
 
-def by_learning(student: Network, scene: Scene, seed: int, company: Sequence[Scene] = ()) -> Outcome:
+def by_learning(student: Network, scene: Scene, seed: int, company: Sequence[Scene] = ()) -> WaysFound:
     """The student without any search for paths, unless a way comes out blocked.
 
     With company, other scenes that are planned in the same pass, seconds are one scene's share.
@@ -142,7 +142,7 @@ def by_learning(student: Network, scene: Scene, seed: int, company: Sequence[Sce
     return _drawn_outcome(*fleets[0], *shares)
 
 
-def by_batches(student: Network, family: str, scene: Scene, seed: int) -> Outcome:
+def by_batches(student: Network, family: str, scene: Scene, seed: int) -> WaysFound:
     """`by_learning` of as many scenes at a time as `BATCH`, all of one size."""
     return by_learning(student, scene, seed, _company(family, scene.num_drones, scene.num_tasks))
 
@@ -153,7 +153,7 @@ def _company(family: str, drones: int, tasks: int) -> list[Scene]:
     return [generate(family, drones=drones, tasks=tasks, seed=COMPANY + number) for number in range(BATCH - 1)]
 
 
-def by_both(student: Network, scene: Scene, seed: int) -> Outcome:
+def by_both(student: Network, scene: Scene, seed: int) -> WaysFound:
     """The hybrid: searches over any-angle travel, and the student's ways."""
     clock = Clock()
     travel = compute_travel(scene)
@@ -162,7 +162,7 @@ def by_both(student: Network, scene: Scene, seed: int) -> Outcome:
     return _drawn_outcome(ways, bundles, travel, drawing, *clock.read())
 
 
-def _mended(scene: Scene, bundles: Bundles, drawing: Drawing | None, travel: Travel) -> list[FloatArray]:
+def _mended(scene: Scene, bundles: Bundles, drawing: DrawnFleet | None, travel: Travel) -> list[FloatArray]:
     """The drawn ways, with shortest paths where they are blocked."""
     if drawing is None:
         raise RuntimeError(f"{scene.name} has more legs a drone than the student has samples")
@@ -174,12 +174,12 @@ def _mended(scene: Scene, bundles: Bundles, drawing: Drawing | None, travel: Tra
 
 
 def _drawn_outcome(
-    ways: list[FloatArray], bundles: Bundles, travel: Travel, drawing: Drawing, ways_s: float, wall_s: float
-) -> Outcome:
-    return Outcome(bundles, sum(map(_length, ways)), ways_s, wall_s, travel, drawing.samples, bool(drawing.clear.all()))
+    ways: list[FloatArray], bundles: Bundles, travel: Travel, drawing: DrawnFleet, ways_s: float, wall_s: float
+) -> WaysFound:
+    return WaysFound(bundles, sum(map(_length, ways)), ways_s, wall_s, travel, drawing.samples, bool(drawing.clear.all()))
 
 
-def classically(scene: Scene, seed: int) -> Outcome:
+def classically(scene: Scene, seed: int) -> WaysFound:
     """Any-angle travel and search."""
     clock = Clock()
     travel = compute_travel(scene)
@@ -187,39 +187,39 @@ def classically(scene: Scene, seed: int) -> Outcome:
     for drone, route in enumerate(bundles):
         route_legs(scene, drone, route, travel.path)
     seconds = clock.read()
-    return Outcome(bundles, travel.total(bundles.routes), *seconds, travel)
+    return WaysFound(bundles, travel.total(bundles.routes), *seconds, travel)
 
 
-def on_voxels(paths: str, scene: Scene, seed: int) -> Outcome:
+def on_voxels(paths: str, scene: Scene, seed: int) -> WaysFound:
     """Dijkstra's costs, MAGNNET + bundling, A* legs."""
     clock = Clock()
     proposal = magnnet_bundling(Request(scene, straight_travel(scene), None, seed, paths=paths))
     seconds = clock.read()
-    return Outcome(proposal.bundles, sum(map(_length, np.asarray(proposal.samples))), *seconds)
+    return WaysFound(proposal.bundles, sum(map(_length, np.asarray(proposal.samples))), *seconds)
 
 
-def greedily_on_voxels(scene: Scene, seed: int) -> Outcome:
+def greedily_on_voxels(scene: Scene, seed: int) -> WaysFound:
     """6-connected Dijkstra's costs, greedy bundles, A* legs."""
     clock = Clock()
     oracle = voxel_oracle(scene, VoxelSettings(6))
     bundles = refine_bundles(scene, travel=oracle.travel, iterations=0, seed=seed)
     ways = [leg for drone, route in enumerate(bundles) for leg in route_legs(scene, drone, route, oracle.leg)]
     seconds = clock.read()
-    return Outcome(bundles, sum(map(_length, ways)), *seconds)
+    return WaysFound(bundles, sum(map(_length, ways)), *seconds)
 
 
 def _length(points: FloatArray) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-Pipeline: TypeAlias = Callable[[Scene, int], Outcome]
+WayFinder: TypeAlias = Callable[[Scene, int], WaysFound]
 
 
-def _pipelines(family: str) -> dict[str, Pipeline]:
+def _pipelines(family: str) -> dict[str, WayFinder]:
     """The pipelines by name; without OpenVINO's where that is not installed."""
     student = shipped_student()
     torch_student = network(student, "torch")
-    pipelines: dict[str, Pipeline] = {"learned": partial(by_learning, torch_student)}
+    pipelines: dict[str, WayFinder] = {"learned": partial(by_learning, torch_student)}
     try:
         pipelines[OPENVINO] = partial(by_learning, _compiled(student))
     except MissingExtra as fault:
@@ -253,7 +253,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     torch.set_num_threads(options.threads)
     pipelines = _pipelines(options.family)
-    rows = Rows(options.out / "scalability.csv", COLUMNS)
+    rows = CsvRows(options.out / "scalability.csv", COLUMNS)
     for tasks in options.tasks:
         for number in range(-WARM_UP, options.scenes):
             scene = generate(options.family, drones=10, tasks=tasks, seed=UNSEEN + options.seed + number)
@@ -279,7 +279,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _records(scene: Scene, seed: int, warm_up: bool, pipelines: dict[str, Pipeline]) -> Iterator[dict[str, object]]:
+def _records(scene: Scene, seed: int, warm_up: bool, pipelines: dict[str, WayFinder]) -> Iterator[dict[str, object]]:
     """A row for each pipeline."""
     travel = compute_travel(scene)
     best = refine_bundles(scene, travel=travel, iterations=20_000)
@@ -297,7 +297,7 @@ def _records(scene: Scene, seed: int, warm_up: bool, pipelines: dict[str, Pipeli
         }  # fmt: skip
 
 
-def _judged(scene: Scene, outcome: Outcome, travel: Travel) -> tuple[float, bool]:
+def _judged(scene: Scene, outcome: WaysFound, travel: Travel) -> tuple[float, bool]:
     """CPU seconds to decoded flights, and whether the plan is certified once flights are kept apart; NaN if not decoded."""
     if outcome.travel is None:
         return float("nan"), False

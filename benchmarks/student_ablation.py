@@ -23,7 +23,7 @@ from typing import TypeAlias
 import numpy as np
 import torch
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, header, markdown_table, spread, write_summary
 from flockopt import Scene, refine_bundles
 from flockopt.records.arrays import FloatArray
 from flockopt.travel import Travel
@@ -68,8 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     torch.set_num_threads(options.threads)
     students = {_name(path): load_student(path) for path in options.weights}
     first = next(iter(students.values()))
-    trajectories = Rows(options.out / "trajectories.csv", TRAJECTORY_COLUMNS)
-    allocation = Rows(options.out / "allocation.csv", ALLOCATION_COLUMNS)
+    trajectories = CsvRows(options.out / "trajectories.csv", TRAJECTORY_COLUMNS)
+    allocation = CsvRows(options.out / "allocation.csv", ALLOCATION_COLUMNS)
     for kind in KINDS:
         for number in range(-1, options.scenes):
             scene, travel, base = _case(kind, UNSEEN + options.seed + number, number, first.settings.num_samples)

@@ -11,7 +11,6 @@ policy that leaves tasks out is measured too; the costs of the same bundles on v
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -19,13 +18,14 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from benchmarks.allocators import nearest_task
-from benchmarks.report import Rows, write_summary
+from benchmarks.report import CsvRows, write_summary
 from benchmarks.table_one import draw, summary
-from flockopt import FlockError, SettingsError
+from flockopt import SettingsError
 from flockopt.batches.backends import BACKENDS
 from flockopt.batches.progress import ProgressBar
 from flockopt.bundles.exact.exact import solve_exact
 from flockopt.bundles.explain import explained
+from flockopt.cli.status import run_command
 from flockopt.planning.planners import PLANNERS, Proposal, Request, classical
 from flockopt.records import checks
 from flockopt.scene import Scene
@@ -90,12 +90,12 @@ COLUMNS = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every method but MAGNNET served all tasks of all scenes in flight."""
     options = _parser().parse_args(argv)
-    try:
-        records = _records(options)
-    except FlockError as fault:
-        print(f"benchmarks.teacher_ablation: {fault}", file=sys.stderr)
-        return 2
-    rows = Rows(options.out / "teacher_ablation.csv", COLUMNS)
+    return run_command("benchmarks.teacher_ablation", lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    records = _records(options)
+    rows = CsvRows(options.out / "teacher_ablation.csv", COLUMNS)
     for record in records:
         rows.add({column: "" if record.get(column) is None else record[column] for column in COLUMNS})
     rows.close()

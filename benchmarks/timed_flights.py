@@ -23,7 +23,7 @@ from time import perf_counter
 import numpy as np
 import torch
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, header, markdown_table, spread, write_summary
 from flockopt import Scene, certify, compute_travel, decode, deconflict, generate, refine_bundles
 from flockopt.bundles import Bundles
 from flockopt.flights import Flight
@@ -49,7 +49,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Case:
+class DecodedFleet:
     """A scene with its bundles and its closed-form flights."""
 
     scene: Scene
@@ -58,7 +58,7 @@ class Case:
     flights: dict[str, Flight]
 
     @classmethod
-    def of(cls, family: str, drones: int, tasks: int, seed: int) -> Case:
+    def of(cls, family: str, drones: int, tasks: int, seed: int) -> DecodedFleet:
         """The case of a generated scene, with near-optimal bundles."""
         scene = generate(family, drones=drones, tasks=tasks, seed=seed)
         travel = compute_travel(scene)
@@ -71,10 +71,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     torch.set_num_threads(1)
     proposer = NetworkProposer(shipped_timed(options.weights))
-    rows = Rows(options.out / "timed_flights.csv", COLUMNS)
+    rows = CsvRows(options.out / "timed_flights.csv", COLUMNS)
     for number in range(-min(len(FAMILIES), options.scenes), options.scenes):
         family = tuple(FAMILIES)[number % len(FAMILIES)]
-        case = Case.of(family, options.drones, options.tasks, UNSEEN + options.seed + number)
+        case = DecodedFleet.of(family, options.drones, options.tasks, UNSEEN + options.seed + number)
         for record in _records(case, proposer):
             if number >= 0:
                 head = {"family": family, "scene": case.scene.sha256[:12], "seed": options.seed + number}
@@ -105,7 +105,7 @@ def _timed(go: Callable[[], dict[str, Proposed] | dict[str, Smoothed]]) -> tuple
     return dict(go()), perf_counter() - began
 
 
-def _records(case: Case, proposer: NetworkProposer) -> list[dict[str, object]]:
+def _records(case: DecodedFleet, proposer: NetworkProposer) -> list[dict[str, object]]:
     """A row for each way."""
     scene, flights = case.scene, case.flights
     proposed, proposed_s = _timed(lambda: fly_proposals(scene, flights, proposer))
@@ -124,7 +124,7 @@ def _records(case: Case, proposer: NetworkProposer) -> list[dict[str, object]]:
 
 
 def _record(
-    case: Case, way: str, reports: dict[str, Proposed] | dict[str, Smoothed], moving: list[str], seconds: float
+    case: DecodedFleet, way: str, reports: dict[str, Proposed] | dict[str, Smoothed], moving: list[str], seconds: float
 ) -> dict[str, object]:
     chosen = {name: each.flight for name, each in reports.items()}
     apart = deconflict(case.scene, case.bundles, chosen, travel=case.travel).flights

@@ -19,7 +19,7 @@ from time import perf_counter
 
 import numpy as np
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, header, markdown_table, spread, write_summary
 from flockopt import Bundles, FlockError, Scene, compute_travel, generate, refine_bundles, smooth
 from flockopt.flights import Curve, Flight
 from flockopt.flights import decode as decoding
@@ -69,7 +69,7 @@ MARGIN_TOLERANCE_M = 1e-4
 
 
 @dataclass(frozen=True)
-class Case:
+class BundledScene:
     """A scene with its bundles, which all laws fly."""
 
     family: str
@@ -79,7 +79,7 @@ class Case:
     bundles: Bundles
 
     @classmethod
-    def make(cls, family: str, seed: int, drones: int, tasks: int) -> Case:
+    def make(cls, family: str, seed: int, drones: int, tasks: int) -> BundledScene:
         """A family's scene of a seed, its bundles refined."""
         scene = generate(family, drones=drones, tasks=tasks, seed=seed)
         travel = compute_travel(scene)
@@ -102,11 +102,11 @@ class Case:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if no law failed anywhere."""
     options = _parser().parse_args(argv)
-    rows, shown = Rows(options.out / "trajectories.csv", COLUMNS), None
+    rows, shown = CsvRows(options.out / "trajectories.csv", COLUMNS), None
     drones, tasks = (int(part) for part in options.size.split("x"))
     for number in range(options.scenes):
         family = list(FAMILIES)[number % len(FAMILIES)]
-        case = Case.make(family, options.seed + number // len(FAMILIES), drones, tasks)
+        case = BundledScene.make(family, options.seed + number // len(FAMILIES), drones, tasks)
         if shown is None:
             shown = case
             for law in options.laws:
@@ -132,7 +132,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def run(case: Case, law: str) -> dict[str, object]:
+def run(case: BundledScene, law: str) -> dict[str, object]:
     """Fly one scene by one law and describe the flights as a row."""
     record: dict[str, object] = {"scene": case.scene.sha256[:12], "family": case.family, "seed": case.seed, "law": law}
     times = []
@@ -223,7 +223,7 @@ def _visit_error(scene: Scene, flights: Mapping[str, Flight]) -> float:
     return max((float(np.linalg.norm(flight.curve(v.time) - positions[v.task])) for flight, v in visits), default=0.0)
 
 
-def _fit_error(case: Case) -> float:
+def _fit_error(case: BundledScene) -> float:
     """How far the quintic law's pieces are from its spline at most, metres."""
     ways = {i: waypoints_from_paths(case.scene, case.travel, i, route) for i, route in enumerate(case.bundles)}
     return max(decode_quintic(case.scene, {i: way for i, way in ways.items() if way.moves}).fit_error_m.values())
@@ -288,7 +288,7 @@ def _mean(records: list[dict[str, object]], key: str) -> float:
     return float(np.mean([record[key] for record in records])) if records else float("nan")
 
 
-def _plot(case: Case, laws: Sequence[str], path: Path) -> None:
+def _plot(case: BundledScene, laws: Sequence[str], path: Path) -> None:
     """Speed and jerk over time of the drone that flies longest, by law."""
     from matplotlib.figure import Figure
 

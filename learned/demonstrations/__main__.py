@@ -10,15 +10,15 @@ says what is in them. Exit status 0, or 2 on bad input.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from flockopt import FlockError, SettingsError, refine_bundles
+from flockopt import SettingsError, refine_bundles
 from flockopt.bundles import Bundles
+from flockopt.cli.status import run_command
 from flockopt.records import checks
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -152,12 +152,7 @@ def _size(path: Path) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    try:
-        _run(options)
-    except FlockError as fault:
-        print(f"learned.demonstrations: {fault}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command("learned.demonstrations", lambda: _run(options))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flockopt.batches.backends import open_backend, outcomes
+from flockopt.batches.backends import run_round
 from flockopt.batches.run_folder import RunFolder
 from flockopt.errors import SettingsError
 from learned.demonstrations.array_files import Arrays, shard_path
@@ -72,14 +72,13 @@ class ShardRun:
 
     def _round(self, shards: Sequence[tuple[int, range]], jobs: int, backend: str, done: Callable[[str], object]) -> bool:
         """Make shards until all are there, or until a worker dies: whether all are there."""
-        with open_backend(backend, jobs) as place:
-            try:
-                for number, arrays in outcomes(place, partial(_work, self.make), shards, 2 * jobs):
-                    self.write(shard_path(self.folder, number), arrays)
-                    done(shard_path(self.folder, number).name)
-            except place.deaths:
-                return False
-        return True
+
+        def take(made: tuple[int, Arrays]) -> None:
+            path = shard_path(self.folder, made[0])
+            self.write(path, made[1])
+            done(path.name)
+
+        return run_round(backend, jobs, partial(_work, self.make), shards, take, ahead=2 * jobs)
 
     def _shards(self, num_scenes: int, seed: int) -> Iterator[tuple[int, range]]:
         """Number and seeds of every shard."""

@@ -10,15 +10,15 @@ what is in them. Exit status 0, or 2 on bad input.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flockopt import FlockError, SettingsError, certify, compute_travel, decode, deconflict, refine_bundles
+from flockopt import SettingsError, certify, compute_travel, decode, deconflict, refine_bundles
 from flockopt.bundles import Bundles
+from flockopt.cli.status import run_command
 from flockopt.flights import Flight
 from flockopt.flights.smoothing.smooth import Smoothed, smooth_each
 from flockopt.flights.smoothing.stages import split
@@ -132,12 +132,7 @@ def _size(path: Path) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    try:
-        _run(options)
-    except FlockError as fault:
-        print(f"learned.demonstrations.timed: {fault}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command("learned.demonstrations.timed", lambda: _run(options))
 
 
 def _parser() -> argparse.ArgumentParser:

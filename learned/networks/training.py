@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import copy
-import hashlib
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -20,6 +20,7 @@ from flockopt.batches.progress import ProgressBar
 from flockopt.errors import SettingsError
 from learned.networks.checkpoint import restore, save_checkpoint
 from learned.networks.schedule import PRECISIONS, Schedule
+from learned.networks.weight_files import file_digest
 
 __all__ = ["Learner", "Run", "add_run_options", "held_out", "is_bfloat16", "settings_of"]
 
@@ -33,13 +34,13 @@ CHECKPOINT_STEPS, LOG_STEPS = 250, 25
 SHORT_SEQUENCES = [SDPBackend.MATH]
 
 Item = TypeVar("Item")
-Settings = TypeVar("Settings")
+Settings = TypeVar("Settings", bound=Schedule)
 
 
-Network = TypeVar("Network", bound=nn.Module)
+Trained = TypeVar("Trained", bound=nn.Module)
 
 
-class Learner(ABC, Generic[Network]):
+class Learner(ABC, Generic[Trained]):
     """The state of a training, and one step of it.
 
     Args:
@@ -51,7 +52,7 @@ class Learner(ABC, Generic[Network]):
     #: What may compute attention.
     attention = SHORT_SEQUENCES
 
-    def __init__(self, network: Network, settings: Schedule, device: torch.device) -> None:
+    def __init__(self, network: Trained, settings: Schedule, device: torch.device) -> None:
         self.network, self._schedule, self.device, self.step = network.to(device), settings, device, 0
         self.average = {name: value.detach().clone() for name, value in network.state_dict().items()}
         self.optimiser = torch.optim.AdamW(
@@ -77,7 +78,7 @@ class Learner(ABC, Generic[Network]):
         for name, value in given.state_dict().items():
             self.network.state_dict()[name].copy_(value)
             self.average[name].copy_(value)
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_digest(path)
 
     def advance(self) -> dict[str, float]:
         """One step of the optimiser; the loss's terms."""
@@ -101,14 +102,14 @@ class Learner(ABC, Generic[Network]):
         for name, value in self.network.state_dict().items():
             self.average[name].lerp_(value.to(self.average[name].dtype), 1.0 - decay)
 
-    def averaged(self) -> Network:
+    def averaged(self) -> Trained:
         """A network with the averaged weights, on the CPU, in evaluation mode."""
         network = copy.deepcopy(self.network).cpu()
         network.load_state_dict({name: value.cpu() for name, value in self.average.items()})
         return network.eval()
 
 
-class Run(Generic[Network]):
+class Run(Generic[Trained]):
     """A training with its folder: it goes on from a checkpoint, and writes weights, checkpoints and logs.
 
     Args:
@@ -120,8 +121,8 @@ class Run(Generic[Network]):
     """
 
     def __init__(
-        self, learner: Learner[Network], out: Path, terms: dict[str, Any], measure: Callable[[Network], dict[str, float]],
-        save: Callable[[Network, dict[str, Any]], None],
+        self, learner: Learner[Trained], out: Path, terms: dict[str, Any], measure: Callable[[Trained], dict[str, float]],
+        save: Callable[[Trained, dict[str, Any]], None],
     ) -> None:  # fmt: skip
         self._learner, self._checkpoint, self._terms = learner, out / "checkpoint.safetensors", terms
         self._log, self._measure, self._save = out / "log", measure, save
@@ -187,9 +188,10 @@ def add_run_options(parser: argparse.ArgumentParser, defaults: Any, whole: Seque
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=f"(default {getattr(defaults, name):g})")
 
 
-def settings_of(options: argparse.Namespace, kind: Callable[..., Settings], fields: Sequence[str]) -> Settings:
+def settings_of(options: argparse.Namespace, kind: type[Settings]) -> Settings:
     """Settings from the options that were given; the others keep their defaults."""
-    return kind(**{name: getattr(options, name) for name in fields if getattr(options, name, None) is not None})
+    names = [field.name for field in dataclasses.fields(kind)]
+    return kind(**{name: getattr(options, name) for name in names if getattr(options, name, None) is not None})
 
 
 def is_bfloat16(precision: str, device: torch.device) -> bool:

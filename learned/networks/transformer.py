@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-__all__ = ["Block", "sinusoids"]
+__all__ = ["TransformerBlock", "sinusoids"]
 
 
 def sinusoids(values: Tensor, width: int, longest: float = 10_000.0) -> Tensor:
@@ -17,7 +17,7 @@ def sinusoids(values: Tensor, width: int, longest: float = 10_000.0) -> Tensor:
     return torch.cat([angles.sin(), angles.cos()], dim=-1)
 
 
-class Block(nn.Module):
+class TransformerBlock(nn.Module):
     """Attention and an MLP, each shifted, scaled and gated by the condition; gates begin at zero."""
 
     def __init__(self, width: int, heads: int) -> None:

@@ -14,7 +14,7 @@ from learned.networks.obstacle_distance import signed_distance
 from learned.student.network.denoiser import Conditions
 from learned.student.network.model import Student
 from learned.student.network.scene_encoder import SceneTokens
-from learned.student.scenes.batch import NOTHING, FleetBatch, Ways
+from learned.student.scenes.batch import NOTHING, FleetBatch, WayBatch
 
 __all__ = ["LossWeights", "StudentLoss", "allocation_loss", "clearance_loss", "detour_weights", "diffusion_loss"]
 
@@ -57,7 +57,7 @@ def detour_weights(clean: Tensor, active: Tensor) -> Tensor:
     return active / (1.0 + clean.square().mean(dim=(2, 3)))
 
 
-def clearance_loss(ways: Ways, points: Tensor) -> Tensor:
+def clearance_loss(ways: WayBatch, points: Tensor) -> Tensor:
     """How far points (B, N, T, 3) m and the middles between them intrude on the room they should keep.
 
     Intrusions are squared, in units of radius + clearance, and averaged over samples of blocked legs.
@@ -123,7 +123,7 @@ class StudentLoss(nn.Module):
     def _draws_alone(self) -> bool:
         return not self.student.settings.fleet_attention
 
-    def _ways(self, batch: FleetBatch, tokens: SceneTokens) -> tuple[Ways, Conditions]:
+    def _ways(self, batch: FleetBatch, tokens: SceneTokens) -> tuple[WayBatch, Conditions]:
         """What is learned from: whole fleets, or blocked drones, their number filled up by inactive ones to a round one."""
         if not self._draws_alone:
             return self.student.condition(batch, None, tokens)

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,8 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.attention import SDPBackend
 
-from flockopt import FlockError
 from flockopt.batches.run_folder import RunFolder
+from flockopt.cli.status import run_command
 from learned.networks.training import Learner, Run, add_run_options, held_out, settings_of
 from learned.student.checkpoint import STORAGES, load_student, save_student
 from learned.student.inference import draw
@@ -65,10 +65,7 @@ class Trainer(Learner[Student]):
         torch.manual_seed(settings.seed)
         student = Student(CONFIGS[settings.config])
         student.spread.copy_(_spread(student, examples))
-        cuda = torch.cuda.is_available()
-        super().__init__(
-            student, settings, torch.device("cuda", rank % torch.cuda.device_count()) if cuda else torch.device("cpu")
-        )
+        super().__init__(student, settings, _device(rank))
         if student.settings.fleet_attention:
             self.attention = LONG_SEQUENCES
         loss = StudentLoss(student)
@@ -159,24 +156,22 @@ def run(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     torch.set_num_threads(options.threads)
     try:
-        settings = settings_of(options, StudentTrainingSettings, list(StudentTrainingSettings.__dataclass_fields__))
-        if world > 1:
-            distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
-        if rank == 0:
-            with RunFolder(options.out, settings.to_dict(), "a student's training"):
-                run(settings, options.data, options.out, rank, world, options.begin_with, options.until, options.store_as)
-        else:
-            run(settings, options.data, options.out, rank, world, options.begin_with, options.until, options.store_as)
-    except FlockError as fault:
-        print(f"learned.student.train: {fault}", file=sys.stderr)
-        return 2
+        return run_command("learned.student.train", lambda: _train(options))
     finally:
         if distributed.is_initialized():
             distributed.destroy_process_group()
-    return 0
+
+
+def _train(options: argparse.Namespace) -> None:
+    """Train as one of the processes that torchrun starts, or alone; the first of them owns the folder."""
+    rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+    settings = settings_of(options, StudentTrainingSettings)
+    if world > 1:
+        distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+    with RunFolder(options.out, settings.to_dict(), "a student's training") if rank == 0 else nullcontext():
+        run(settings, options.data, options.out, rank, world, options.begin_with, options.until, options.store_as)
 
 
 def _parser() -> argparse.ArgumentParser:

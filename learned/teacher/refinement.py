@@ -15,6 +15,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from flockopt.bundles.request import RouteTuple
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from learned.teacher.problems import Problems
@@ -33,10 +34,8 @@ NO_WAY_M = 1e7
 #: How many pairs of gaps are weighed at a time; bounds the memory that large scenes take.
 MOST_PAIRS = 4_000_000
 
-Routes = tuple[tuple[int, ...], ...]
 
-
-def refine(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence[Sequence[Sequence[int]]]) -> list[Routes]:
+def refine(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence[Sequence[Sequence[int]]]) -> list[RouteTuple]:
     """Bundles with less travel; tasks that were not served stay so, and capacities and longest routes are kept.
 
     Args:
@@ -69,7 +68,7 @@ def _finite(problems: Problems) -> Problems:
     return problems.replace(**lengths)
 
 
-def _as_routes(scene: Scene, owner: list[int], rank: list[float]) -> Routes:
+def _as_routes(scene: Scene, owner: list[int], rank: list[float]) -> RouteTuple:
     bundles: list[list[int]] = [[] for _ in range(scene.num_drones)]
     for task in sorted(range(scene.num_tasks), key=rank.__getitem__):
         if owner[task] < scene.num_drones:

@@ -8,7 +8,7 @@ from contextlib import redirect_stdout
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-from flockopt.errors import FlockError, MissingExtra
+from flockopt.errors import FlockError, require
 from sim.live.drawing import Drawing
 from sim.live.picking import first_hit, typed_point
 from sim.live.session import Session
@@ -41,11 +41,7 @@ def load_viser() -> Any:
     Raises:
         MissingExtra: If it is not installed.
     """
-    try:
-        import viser
-    except ImportError:
-        raise MissingExtra("viser", "live") from None
-    return viser
+    return require("viser", extra="live")
 
 
 class Page:

@@ -21,7 +21,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flockopt.errors import MissingExtra, SettingsError, SolverFailed
+from flockopt.errors import SettingsError, SolverFailed, require
 from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Box, Cylinder, Obstacle, Point, Scene
@@ -55,11 +55,8 @@ def load_pybullet() -> ModuleType:
     """
     if "pybullet" in sys.modules:
         return sys.modules["pybullet"]
-    try:
-        with _silence():
-            import pybullet
-    except ImportError:
-        raise MissingExtra("pybullet", "sim") from None
+    with _silence():
+        pybullet: ModuleType = require("pybullet", extra="sim")
     return pybullet
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from learned.networks.transformer import Block, _zeroed, sinusoids
+from learned.networks.transformer import TransformerBlock, _zeroed, sinusoids
 from learned.student.settings import StudentSettings
 
 __all__ = ["Conditions", "Denoiser"]
@@ -37,7 +38,7 @@ class Conditions:
 
     def rows(self, chosen: slice) -> Conditions:
         """Those of some scenes."""
-        tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        tensors: dict[str, Any] = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return Conditions(**{name: None if value is None else value[chosen] for name, value in tensors.items()})
 
 
@@ -55,7 +56,7 @@ class Denoiser(nn.Module):
         self.drone_slots = nn.Parameter(0.02 * torch.randn(slots, width)) if slots else None
         self.level_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.drone_in = nn.Linear(width, width)
-        self.blocks = nn.ModuleList(Block(width, settings.heads) for _ in range(settings.blocks))
+        self.blocks = nn.ModuleList(TransformerBlock(width, settings.heads) for _ in range(settings.blocks))
         self.norm = nn.LayerNorm(width, elementwise_affine=False)
         self.modulation = _zeroed(nn.Linear(width, 2 * width))
         self.samples_out = _zeroed(nn.Linear(width, patch * 3))

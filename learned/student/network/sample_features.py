@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from flockopt.geometry.distances import BOX, CYLINDER
 from flockopt.geometry.kernels import point_distance, point_gradient
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from learned.student.legs.clearance import Obstructions
 from learned.student.network.leg_frame import LEAST_UNIT_M, NEEDS_PER_UNIT, NUM_OWN, NUM_PER_OBSTACLE, REACH
 from learned.student.scenes.batch import FAR_AWAY_M, MOST_OBSTACLES, THINNING
 
 __all__ = ["add_residuals", "told_of"]
-
-IntArray = NDArray[np.int64]
 
 
 @njit(cache=True)

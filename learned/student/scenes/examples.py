@@ -15,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flockopt.errors import SettingsError
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from flockopt.scene import Scene
 from learned.paths.rollout import anchors_of
 from learned.student.legs.clearance import obstructions
 from learned.student.legs.layout import lay_out
 
 __all__ = ["Example", "example", "unassigned", "with_ways"]
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from learned.teacher.episodes import Moment, play
 from learned.teacher.problems import Problems
 from learned.teacher.training.settings import AllocatorTrainingSettings
 
-__all__ = ["Learner", "Progress"]
+__all__ = ["IterationFigures", "PPOLearner"]
 
 
 @dataclass(frozen=True)
-class Progress:
+class IterationFigures:
     """Figures of one iteration.
 
     Attributes:
@@ -48,7 +48,7 @@ class _Batch:
     returns: list[Tensor]
 
 
-class Learner:
+class PPOLearner:
     """Actor, critic and their optimiser.
 
     Args:
@@ -65,7 +65,7 @@ class Learner:
         self.parameters = [*actor.parameters(), *critic.parameters()]
         self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5)
 
-    def iterate(self, problems: Problems, share_left: float) -> Progress:
+    def iterate(self, problems: Problems, share_left: float) -> IterationFigures:
         """Learn from one batch of problems.
 
         Args:
@@ -82,7 +82,7 @@ class Learner:
                 sums += self._update(batch, rows.sort().values, self.settings.entropy_bonus * share_left)
                 count += 1
         means = (sums / count).tolist()
-        return Progress(*figures[:2], means[2], means[0], means[1], figures[2], means[3])
+        return IterationFigures(*figures[:2], means[2], means[0], means[1], figures[2], means[3])
 
     def _collect(self, problems: Problems) -> tuple[_Batch, tuple[float, float, float]]:
         with torch.no_grad():

@@ -61,14 +61,14 @@ def test_shares_are_from_0_to_1(value):
 def test_flags_are_true_or_false():
     assert checks.flag(SceneError, "x", True) is True
     for value in (1, 0, "true", None, [True]):
-        with pytest.raises(SceneError, match="x is .*; must be true or false"):
+        with pytest.raises(SceneError, match=r"x is .*; must be true or false"):
             checks.flag(SceneError, "x", value)
 
 
 def test_choices_are_among_what_is_known():
     assert checks.choice(SceneError, "law", "quintic", known={"quintic": 1}) == "quintic"
     for value in ("cubic", None, ["quintic"], {}, 1):
-        with pytest.raises(SceneError, match="law is .*; must be one of quintic, ruckig; choose one"):
+        with pytest.raises(SceneError, match=r"law is .*; must be one of quintic, ruckig; choose one"):
             checks.choice(SceneError, "law", value, known=("quintic", "ruckig"))
 
 
