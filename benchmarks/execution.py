@@ -10,7 +10,6 @@ with PyBullet asked while something is near, as flights are, and in every step.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.planning import CITIES, PlanningCase, warm_up
-from benchmarks.report import CsvRows, header, markdown_table, write_summary
+from benchmarks.report import CsvRows, benchmark_parser, header, markdown_table, tell, write_summary
 from flockopt import FlockError, Scene, generate, plan
 from flockopt.scene.families.layouts import FAMILIES
 from sim.mission.execute import execute
@@ -51,8 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     ]
     for number, case in enumerate(cases, start=1):
         rows.add(_row(case, options, settings))
-        print(f"\r{number}/{len(cases)} {case.family:<10}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        tell(f"{number}/{len(cases)} {case.family:<10}")
+    tell("\n")
     rows.close()
     factors = [(drones, *_fastest(drones, options, settings)) for drones in options.fleets]
     write_summary(options.out, _summary(rows.records, factors, settings))
@@ -61,10 +60,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.execution", description=__doc__.split("\n")[0])
+    parser = benchmark_parser("execution", __doc__)
     parser.add_argument("--scenes", type=int, default=20, help="seeds for each family (default 20)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     names = [*FAMILIES, *CITIES]
     parser.add_argument("--families", nargs="+", default=names, choices=names, help="what to fly")
     parser.add_argument("--drones", type=int, default=10, help="in each scene of a family (default 10)")

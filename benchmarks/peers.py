@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def solve_pyvrp(scene: Scene, travel: Travel, time_limit_s: float, seed: int) ->
         model.add_client(place, delivery=task.demand)
     profiles = [model.add_profile() for _ in travel.task_task]
     for i, drone in enumerate(scene.drones):
-        limit = {} if drone.max_distance is None else {"max_distance": int(drone.max_distance * UNITS_A_METRE)}
+        limit: dict[str, Any] = {} if drone.max_distance is None else {"max_distance": int(drone.max_distance * UNITS_A_METRE)}
         profile, start, end = profiles[travel.drone_class[i]], depots[2 * i], depots[2 * i + 1]
         model.add_vehicle_type(1, drone.capacity, start_depot=start, end_depot=end, profile=profile, **limit)
     for kind, profile in enumerate(profiles):

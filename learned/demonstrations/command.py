@@ -59,8 +59,7 @@ def write_with_bar(options: argparse.Namespace, write: ShardWriter) -> None:
     """
     scenes = checks.integer(SettingsError, "scenes", options.scenes, least=1)
     jobs = checks.integer(SettingsError, "jobs", options.jobs, least=1)
-    if options.backend not in BACKENDS:
-        raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
+    checks.choice(SettingsError, "backend", options.backend, known=BACKENDS)
     bars: list[ProgressBar] = []
     write(
         options.out, scenes, jobs=jobs, backend=options.backend,

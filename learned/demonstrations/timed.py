@@ -58,7 +58,7 @@ class TimedSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        checks.integer(SettingsError, "seed", self.seed, least=0)
+        checks.store(self, checks.integer, SettingsError, "seed", least=0)
 
     def terms(self) -> dict[str, Any]:
         """What shards of one folder share."""

@@ -108,13 +108,13 @@ def draw(
         tokens: Of the scenes, if `decide` made them already.
     """
     apart = not student.settings.fleet_attention
-    drawn = [(one.blocked.any(axis=1) if apart else one.active) for one in examples]
+    drawn = [(one.is_blocked if apart else one.active) for one in examples]
     wanted = [(index, int(drone)) for index, drones in enumerate(drawn) for drone in np.flatnonzero(drones)]
     seeds = [seed] * len(examples) if isinstance(seed, int) else seed
     generators = [torch.Generator().manual_seed(one) for one in seeds]
     tries_of: dict[Place, FloatArray] = {}
     drawings = [
-        DrawnFleet(one.straight.copy(), ~one.blocked.any(axis=1), int(drones.sum()), one)
+        DrawnFleet(one.straight.copy(), ~one.is_blocked, int(drones.sum()), one)
         for one, drones in zip(examples, drawn, strict=True)
     ]
     pencil = _pencil(student, examples, tokens) if wanted else None

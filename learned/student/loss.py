@@ -82,8 +82,7 @@ class LossWeights:
     clearance: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in ("allocation", "diffusion", "clearance"):
-            checks.number(SettingsError, field, getattr(self, field), least=0.0)
+        checks.store(self, checks.number, SettingsError, "allocation", "diffusion", "clearance", least=0.0)
 
 
 class StudentLoss(nn.Module):
@@ -130,7 +129,7 @@ class StudentLoss(nn.Module):
         places = (batch.ways.active & batch.ways.blocked.any(dim=-1)).nonzero()  # (R, 2)
         count = len(places)
         filled = torch.nn.functional.pad(places, (0, 0, 0, -count % ROWS_STEP))
-        ways, conditions = self.student.condition(batch, filled.unbind(dim=1), tokens)
+        ways, conditions = self.student.condition(batch, (filled[:, 0], filled[:, 1]), tokens)
         is_there = torch.arange(len(filled), device=places.device)[:, None] < count
         return replace(ways, active=ways.active & is_there), conditions
 

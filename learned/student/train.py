@@ -96,7 +96,7 @@ def _device(rank: int) -> torch.device:
 def measure(student: Student, examples: Sequence[Example]) -> dict[str, float]:
     """Shares of scenes and of blocked drones clear before mending, one try; share of tasks given to the teacher's drone."""
     drawings = draw(student, examples, tries=1)
-    blocked = np.concatenate([one.blocked.any(axis=1) for one in examples])
+    blocked = np.concatenate([one.is_blocked for one in examples])
     clear = np.concatenate([drawing.clear for drawing in drawings])
     batch = collate(examples)
     with torch.inference_mode():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from learned.networks.transformer import stack
 from learned.student.scenes.batch import FleetBatch
 
 __all__ = ["AttentionHead", "ProductHead"]
@@ -32,7 +33,7 @@ class AttentionHead(nn.Module):
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
-        self.layers = nn.ModuleList(DistanceLayer(width, heads) for _ in range(NUM_LAYERS))
+        self.layers = stack(DistanceLayer(width, heads) for _ in range(NUM_LAYERS))
         self.product = ProductHead(width)
         self.nearness = nn.Parameter(torch.zeros(2))
 

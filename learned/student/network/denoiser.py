@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from learned.networks.transformer import TransformerBlock, _zeroed, sinusoids
+from learned.networks.transformer import TransformerBlock, sinusoids, stack, zeroed
 from learned.student.settings import StudentSettings
 
 __all__ = ["Conditions", "Denoiser"]
@@ -38,8 +38,9 @@ class Conditions:
 
     def rows(self, chosen: slice) -> Conditions:
         """Those of some scenes."""
-        tensors: dict[str, Any] = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return Conditions(**{name: None if value is None else value[chosen] for name, value in tensors.items()})
+        tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        parts: dict[str, Any] = {name: None if value is None else value[chosen] for name, value in tensors.items()}
+        return Conditions(**parts)
 
 
 class Denoiser(nn.Module):
@@ -56,10 +57,10 @@ class Denoiser(nn.Module):
         self.drone_slots = nn.Parameter(0.02 * torch.randn(slots, width)) if slots else None
         self.level_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.drone_in = nn.Linear(width, width)
-        self.blocks = nn.ModuleList(TransformerBlock(width, settings.heads) for _ in range(settings.blocks))
+        self.blocks = stack(TransformerBlock(width, settings.heads) for _ in range(settings.blocks))
         self.norm = nn.LayerNorm(width, elementwise_affine=False)
-        self.modulation = _zeroed(nn.Linear(width, 2 * width))
-        self.samples_out = _zeroed(nn.Linear(width, patch * 3))
+        self.modulation = zeroed(nn.Linear(width, 2 * width))
+        self.samples_out = zeroed(nn.Linear(width, patch * 3))
 
     def forward(self, noisy: Tensor, noise_level: Tensor, conditions: Conditions) -> Tensor:
         """Clean samples (B, N, T, 3) from noisy ones; ``noise_level`` (B,) is t in the paper."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -144,8 +144,8 @@ class FleetBatch:
             upper=corners.amax(dim=0),
             target=None if self.ways.target is None else _mirror(self.ways.target, tosses),
         )
-        places = {name: _mirror(getattr(self, name), tosses) for name in ("starts", "ends", "tasks")}
-        return dataclasses.replace(self, ways=ways, **places)
+        starts, ends, tasks = (_mirror(places, tosses) for places in (self.starts, self.ends, self.tasks))
+        return dataclasses.replace(self, ways=ways, starts=starts, ends=ends, tasks=tasks)
 
     def to(self, device: torch.device) -> FleetBatch:
         """The same on another device."""
@@ -154,9 +154,8 @@ class FleetBatch:
 
 def _moved(record: Record, device: torch.device) -> Record:
     tensors = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
-    return dataclasses.replace(
-        record, **{name: value.to(device) for name, value in tensors.items() if isinstance(value, Tensor)}
-    )
+    moved: dict[str, Any] = {name: value.to(device) for name, value in tensors.items() if isinstance(value, Tensor)}
+    return dataclasses.replace(record, **moved)
 
 
 def _mirror(vectors: Tensor, tosses: Tensor) -> Tensor:

@@ -9,6 +9,8 @@ from torch import Tensor, nn
 
 from learned.teacher import ppo
 from learned.teacher.actors.critic import CentralCritic
+from learned.teacher.actors.magnnet import MagnnetActor
+from learned.teacher.actors.policy import TeacherActor
 from learned.teacher.episodes import Moment, play
 from learned.teacher.problems import Problems
 from learned.teacher.training.settings import AllocatorTrainingSettings
@@ -59,7 +61,11 @@ class PPOLearner:
     """
 
     def __init__(
-        self, actor: nn.Module, critic: CentralCritic, settings: AllocatorTrainingSettings, generator: torch.Generator
+        self,
+        actor: TeacherActor | MagnnetActor,
+        critic: CentralCritic,
+        settings: AllocatorTrainingSettings,
+        generator: torch.Generator,
     ) -> None:
         self.actor, self.critic, self.settings, self.generator = actor, critic, settings, generator
         self.parameters = [*actor.parameters(), *critic.parameters()]

@@ -12,12 +12,13 @@ from flockopt import SettingsError
 from flockopt.flights.waypoints import leg_clear
 from flockopt.geometry.distances import distances
 from flockopt.scene.families.layouts import FAMILIES
-from learned.demonstrations import __main__ as demonstrations
-from learned.demonstrations.__main__ import DemonstrationSettings, main, make_shard
+from learned.demonstrations import writing as demonstrations
+from learned.demonstrations.__main__ import main
 from learned.demonstrations.array_files import shard_path
 from learned.demonstrations.scenes import SceneMix, blocked_routes, draw_scene, random_bundles
 from learned.demonstrations.shard_runs import ShardRun
 from learned.demonstrations.shards import Demonstrations, load_demonstrations, read_shard, write_shard
+from learned.demonstrations.writing import DemonstrationSettings, make_shard
 
 SMALL = ["--scenes", "5", "--family", "forest"]
 

@@ -13,8 +13,8 @@ torch = pytest.importorskip("torch")
 
 from flockopt import SettingsError  # noqa: E402 - torch may be missing
 from flockopt.flights.waypoints import leg_clear  # noqa: E402
-from learned.demonstrations.__main__ import DemonstrationSettings, write_demonstrations  # noqa: E402
 from learned.demonstrations.scenes import SceneMix  # noqa: E402
+from learned.demonstrations.writing import DemonstrationSettings, write_demonstrations  # noqa: E402
 from learned.networks import training as learner  # noqa: E402
 from learned.networks.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
 from learned.networks.schedule import LAST_RATE, Schedule  # noqa: E402
