@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from functools import partial
 
 from flockopt.cli.status import run_command
 from learned.demonstrations.command import add_options, mix_of, write_with_bar
 from learned.demonstrations.scenes import SceneMix
-from learned.demonstrations.writing import TEACHERS, DemonstrationSettings, write_demonstrations
+from learned.demonstrations.writing import TEACHERS, DemonstrationSettings, demonstration_shards
 from learned.paths.rollout import NUM_SAMPLES
 from learned.paths.ways import ANY_ANGLE, PATHS
 
@@ -40,7 +39,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(options: argparse.Namespace) -> None:
     settings = DemonstrationSettings(mix_of(options), options.seed, options.teacher, options.paths, options.samples)
-    write_with_bar(options, partial(write_demonstrations, settings=settings))
+    write_with_bar(options, demonstration_shards(options.out, settings))
 
 
 if __name__ == "__main__":

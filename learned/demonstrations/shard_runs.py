@@ -31,6 +31,7 @@ class ShardRun:
         write: Puts them in a file.
         size: How many scenes a file holds.
         shard_scenes: Scenes in a shard: what is lost when a run is killed.
+        seed: Of the first scene; the others follow.
     """
 
     folder: Path
@@ -40,16 +41,22 @@ class ShardRun:
     write: Callable[[Path, Arrays], None]
     size: Callable[[Path], int]
     shard_scenes: int
+    seed: int
 
     def go(
-        self, num_scenes: int, seed: int, jobs: int, backend: str,
-        begun: Callable[[int, int], object], done: Callable[[str], object], warn: Callable[[str], object],
-    ) -> None:  # fmt: skip
+        self,
+        num_scenes: int,
+        *,
+        jobs: int = 1,
+        backend: str = "loky",
+        begun: Callable[[int, int], object] = lambda total, done: None,
+        done: Callable[[str], object] = lambda words: None,
+        warn: Callable[[str], object] = lambda words: None,
+    ) -> None:
         """Write all shards that the folder does not hold yet.
 
         Args:
             num_scenes: How many scenes it shall hold.
-            seed: Of the first one; the others follow.
             jobs: Workers.
             backend: One of `flockopt.batches.backends.BACKENDS`.
             begun: Told once how many shards there are to be and how many are there.
@@ -60,7 +67,7 @@ class ShardRun:
             SettingsError: If the folder holds another run, is in use, or holds damaged shards.
         """
         with RunFolder(self.folder, self.terms, self.content):
-            shards = list(self._shards(num_scenes, seed))
+            shards = list(self._shards(num_scenes))
             missing = self._missing(shards)
             begun(len(shards), len(shards) - len(missing))
             for deaths in range(MOST_DEATHS + 1):
@@ -80,10 +87,10 @@ class ShardRun:
 
         return run_round(backend, jobs, partial(_work, self.make), shards, take, ahead=2 * jobs)
 
-    def _shards(self, num_scenes: int, seed: int) -> Iterator[tuple[int, range]]:
+    def _shards(self, num_scenes: int) -> Iterator[tuple[int, range]]:
         """Number and seeds of every shard."""
         for number, begin in enumerate(range(0, num_scenes, self.shard_scenes)):
-            yield number, range(seed + begin, seed + min(begin + self.shard_scenes, num_scenes))
+            yield number, range(self.seed + begin, self.seed + min(begin + self.shard_scenes, num_scenes))
 
     def _missing(self, shards: Sequence[tuple[int, range]]) -> list[tuple[int, range]]:
         """Shards that are not there, or hold too few scenes."""

@@ -20,7 +20,7 @@ from learned.paths.rollout import NUM_SAMPLES, roll_out
 from learned.paths.ways import ANY_ANGLE, PATHS, Ways, find_ways
 from learned.teacher.planner import allocator, bundles_of, refined
 
-__all__ = ["TEACHERS", "DemonstrationSettings", "make_shard", "write_demonstrations"]
+__all__ = ["TEACHERS", "DemonstrationSettings", "demonstration_shards", "make_shard"]
 
 #: Scenes in a shard: what is lost when a run is killed.
 SHARD_SCENES = 100
@@ -103,34 +103,18 @@ def _taught(teacher: str, scenes: Sequence[Scene], ways: Mapping[int, Ways], see
     return TEACHERS[teacher]([scenes[index] for index in ways], [way.travel for way in ways.values()], [seeds[i] for i in ways])
 
 
-def write_demonstrations(
-    folder: Path,
-    num_scenes: int,
-    settings: DemonstrationSettings,
-    *,
-    jobs: int = 1,
-    backend: str = "loky",
-    begun: Callable[[int, int], object] = lambda total, done: None,
-    done: Callable[[str], object] = lambda words: None,
-    warn: Callable[[str], object] = lambda words: None,
-) -> None:
-    """Write all shards that the folder does not hold yet.
-
-    Args:
-        folder: Where; made if it does not exist.
-        num_scenes: How many scenes it shall hold.
-        settings: What is demonstrated.
-        jobs: Workers.
-        backend: One of `flockopt.batches.backends.BACKENDS`.
-        begun: Told once how many shards there are to be and how many are there.
-        done: Told of every shard that is written.
-        warn: Told of dead workers.
-
-    Raises:
-        SettingsError: If the folder holds other demonstrations, is in use, or holds damaged ones.
-    """
-    run = ShardRun(folder, settings.terms(), "demonstrations", partial(make_shard, settings), write_shard, _size, SHARD_SCENES)
-    run.go(num_scenes, settings.seed, jobs, backend, begun, done, warn)
+def demonstration_shards(folder: Path, settings: DemonstrationSettings) -> ShardRun:
+    """The shards of a folder; `ShardRun.go` makes those that it does not hold yet."""
+    return ShardRun(
+        folder,
+        settings.terms(),
+        "demonstrations",
+        partial(make_shard, settings),
+        write_shard,
+        _size,
+        SHARD_SCENES,
+        settings.seed,
+    )
 
 
 def _size(path: Path) -> int:

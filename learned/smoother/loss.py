@@ -98,6 +98,7 @@ def verdicts(
     factors = slowing(control, durations, batch)
     slower = factors.amax(dim=1).clamp(min=1.0)
     given = squared_jerk(batch.states, batch.durations, batch.pieces).clamp(min=1e-9)
+    # slowed down as a whole: jerk falls by the cube, its square by the sixth power, and the time to integrate over grows
     jerk = squared_jerk(states, durations, batch.pieces) / slower**5 / given
     total = (durations * batch.pieces).sum(dim=1) * slower
     time = total / (batch.durations * batch.pieces).sum(dim=1)

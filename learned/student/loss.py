@@ -139,6 +139,7 @@ class StudentLoss(nn.Module):
         noise = torch.randn(clean.shape, generator=generator).to(clean.device)
         if self.student.settings.objective == "regression":
             return torch.zeros_like(clean), torch.full((count,), num_levels, device=clean.device)
+        # few steps are asked for at inference: half of the draws are of the levels that these pass
         passed = torch.tensor(noise_levels(TRAINED_STEPS, num_levels)[:-1])
         level = torch.randint(1, num_levels + 1, (count,), generator=generator)
         chosen = passed[torch.randint(len(passed), (count,), generator=generator)]

@@ -273,6 +273,8 @@ def _best_exchange(fleet: _Fleet) -> Move:
     legs = fleet.at_tasks(fleet.leg_across) + fleet.at_tasks(fleet.leg_across, 1)
     # (B, M, M) m: how much longer the route of a task gets when another stands in its place.
     longer = fleet.at_tasks(fleet.legs_in) + fleet.at_tasks(fleet.legs_out, 1) - legs[..., None]
+    # Entry (j, k) and its mirror image (k, j) are the two halves of one exchange; neighbours in a route share a leg, which
+    # would count twice, and are left out.
     total = longer + longer.mT
     is_shared = fleet.owner[:, :, None] == fleet.owner[:, None, :]
     is_served = fleet.owner < problems.num_drones
@@ -331,6 +333,7 @@ def _length_with_tail(fleet: _Fleet) -> Tensor:
     """(B, G, G) m: of every route up to one gap and on with what comes behind another, to its own drone's end."""
     problems = fleet.problems
     num_drones, num_tasks, width = problems.num_drones, problems.num_tasks, fleet.longest + 1
+    # Prefix sums along each route give the way to any gap and the way behind it, so that all pairs cost one addition each.
     walked = (fleet.leg_across.cumsum(dim=2) - fleet.leg_across).flatten(1)  # (B, G) m, from the start to a gap
     to_end = torch.where(fleet.is_gap, fleet.end_legs, 0.0).gather(2, fleet.size[..., None])[..., 0]  # (B, N) the last leg
     behind = (fleet.length - to_end)[..., None] - (fleet.leg_across.cumsum(dim=2))  # (B, N, L + 1) m, between the tasks behind

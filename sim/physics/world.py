@@ -104,8 +104,7 @@ class World:
         self, scene: Scene, vehicles: list[Vehicle], step_s: float, *, shape: str = "ball", gui: bool = False,
         every_step: bool = False,
     ) -> None:  # fmt: skip
-        if shape not in SHAPES:
-            raise SettingsError("shape", f"is {shape!r}", f"must be one of {', '.join(SHAPES)}", "choose one")
+        checks.choice(SettingsError, "shape", shape, known=SHAPES)
         self._every_step = every_step or gui
         self.step_s = checks.number(SettingsError, "step_s", step_s, above=0.0)
         self._scene, self._bullet = scene, load_pybullet()

@@ -125,6 +125,7 @@ class Denoiser(nn.Module):
 
     def alone(self, noisy: Tensor, told: Tensor, modulations: Sequence[Tensor]) -> Tensor:
         """Clean samples (R, T, 3) of drones each on its own: `forward` with what stays from step to step computed before."""
+        # the layer is linear in samples and features: its part for features is in ``told`` already, bias included
         weight = self.samples_in.weight.unflatten(1, (self.settings.patch, -1))[:, :, :3].flatten(1)
         tokens = told + nn.functional.linear(noisy.reshape(*told.shape[:2], -1), weight)
         for block, modulation in zip(self.blocks, modulations[:-1], strict=True):

@@ -39,6 +39,7 @@ def leg_frames(ways: WayBatch) -> Tensor:
     """(B, N, T, 3, 3): rows are the axes along the leg, level across it, and up from both."""
     along = _at(ways.straight, ways.leg_end) - _at(ways.straight, ways.leg_begin)
     along = along / along.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    # level by construction, so that turning the scene about z turns the frames with it; an upright leg has no such direction
     level = torch.stack([-along[..., 1], along[..., 0], torch.zeros_like(along[..., 0])], dim=-1)
     size = level.norm(dim=-1, keepdim=True)
     sideways = torch.tensor([0.0, 1.0, 0.0], device=along.device).expand_as(level)
@@ -108,6 +109,7 @@ def _obstacle_features(ways: WayBatch, frames: Tensor, unit: Tensor, nearest: in
 def _relative_turn(rows: Tensor, frames: Tensor) -> Tensor:
     """(..., 2): cosine and sine of twice an obstacle's yaw as seen from the leg; zero for round shapes."""
     own = double_yaw(rows)
+    # differences of angles by the addition theorems, on doubled angles, which half a turn of a box leaves alone
     heading = frames[..., 1, [1, 0]] * torch.tensor([1.0, -1.0], device=rows.device)  # level direction of the leg
     cos_leg, sin_leg = heading[..., None, 0], heading[..., None, 1]
     cos_two, sin_two = cos_leg**2 - sin_leg**2, 2.0 * cos_leg * sin_leg

@@ -121,6 +121,7 @@ class PPOLearner:
         loss.backward()
         nn.utils.clip_grad_norm_(self.parameters, self.settings.most_gradient)
         self.optimiser.step()
+        # the second-order estimate of KL(old || new): never negative, and of little variance
         divergence = (log_probs.detach() - old).square().mean() / 2
         return torch.stack([policy.detach(), value.detach(), surprise.detach(), divergence])
 

@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch")
 from flockopt import SettingsError  # noqa: E402 - torch may be missing
 from flockopt.flights.waypoints import leg_clear  # noqa: E402
 from learned.demonstrations.scenes import SceneMix  # noqa: E402
-from learned.demonstrations.writing import DemonstrationSettings, write_demonstrations  # noqa: E402
+from learned.demonstrations.writing import DemonstrationSettings, demonstration_shards  # noqa: E402
 from learned.networks import training as learner  # noqa: E402
 from learned.networks.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
 from learned.networks.schedule import LAST_RATE, Schedule  # noqa: E402
@@ -47,7 +47,7 @@ def tiny(monkeypatch):
 def demonstrations(tmp_path_factory):
     """A folder with some demonstrations."""
     folder = tmp_path_factory.mktemp("demonstrations")
-    write_demonstrations(folder, 6, DemonstrationSettings(SceneMix(family="forest", usual_share=1.0), seed=3))
+    demonstration_shards(folder, DemonstrationSettings(SceneMix(family="forest", usual_share=1.0), seed=3)).go(6)
     return folder
 
 
