@@ -11,21 +11,20 @@ policy that leaves tasks out is measured too; the costs of the same bundles on v
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from benchmarks.allocators import nearest_task
-from benchmarks.report import Rows, write_summary
+from benchmarks.report import CsvRows, Record, benchmark_parser, write_summary
 from benchmarks.table_one import draw, summary
-from flockopt import FlockError, SettingsError
+from flockopt import SettingsError
 from flockopt.batches.backends import BACKENDS
 from flockopt.batches.progress import ProgressBar
 from flockopt.bundles.exact.exact import solve_exact
 from flockopt.bundles.explain import explained
+from flockopt.cli.status import run_command
 from flockopt.planning.planners import PLANNERS, Proposal, Request, classical
 from flockopt.records import checks
 from flockopt.scene import Scene
@@ -78,8 +77,6 @@ METHODS: dict[str, Method] = {
     "exact": _exact,
 }
 
-Record: TypeAlias = dict[str, Any]
-
 COLUMNS = (
     "scene", "family", "seed", "method", "status", "failed", "planner_coverage", "execution_completion", "contacts", "cost",
     "cost_voxel26", "cost_voxel6", "length", "bundle_compactness", "insertion_cost", "tasks_per_distance", "episode_steps",
@@ -90,12 +87,12 @@ COLUMNS = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every method but MAGNNET served all tasks of all scenes in flight."""
     options = _parser().parse_args(argv)
-    try:
-        records = _records(options)
-    except FlockError as fault:
-        print(f"benchmarks.teacher_ablation: {fault}", file=sys.stderr)
-        return 2
-    rows = Rows(options.out / "teacher_ablation.csv", COLUMNS)
+    return run_command("benchmarks.teacher_ablation", lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    records = _records(options)
+    rows = CsvRows(options.out / "teacher_ablation.csv", COLUMNS)
     for record in records:
         rows.add({column: "" if record.get(column) is None else record[column] for column in COLUMNS})
     rows.close()
@@ -105,16 +102,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.teacher_ablation", description=(__doc__ or "").split("\n")[0])
+    parser = benchmark_parser("teacher_ablation", __doc__)
     parser.add_argument("--scenes", type=int, default=100, help="how many, over all families (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first scene; the others follow (default 0)")
     parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=list(FAMILIES), help="dealt scenes in turn")
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS), help="what to compare")
     parser.add_argument("--drones", type=int, default=10, help="in each scene (default 10)")
     parser.add_argument("--tasks", type=int, default=20, help="in each scene (default 20)")
     parser.add_argument("--jobs", type=int, default=1, help="flights side by side (default 1)")
     parser.add_argument("--backend", default="loky", help=f"where they run: {', '.join(BACKENDS)} (default loky: processes)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser
 
 
@@ -135,13 +130,17 @@ def _records(options: argparse.Namespace) -> list[Record]:
                     bar.advance("")
             run_batch(
                 trials, journal, jobs=jobs, backend=options.backend, work=fly,
-                done=lambda result, method=method: bar.advance(f"{method} {result.key}"), warn=bar.note,
+                done=partial(_tell, bar, method), warn=bar.note,
             )  # fmt: skip
             for trial in trials:
                 result = journal.results[trial.key]
                 found[method, trial.key] = {**result.row, "method": method, "allocate_s": result.timing.get("allocate_s")}
     bar.close()
     return _compared(found)
+
+
+def _tell(bar: ProgressBar, method: str, result: Result) -> None:
+    bar.advance(f"{method} {result.key}")
 
 
 def fly(trial: Trial) -> Result:

@@ -6,7 +6,10 @@ come back as statuses.
 
 from __future__ import annotations
 
-__all__ = ["FieldError", "FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed"]
+from importlib import import_module
+from typing import Any
+
+__all__ = ["FieldError", "FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed", "require"]
 
 
 class FlockError(Exception):
@@ -57,6 +60,23 @@ class MissingExtra(FlockError, ImportError):
     def __init__(self, package: str, extra: str) -> None:
         self.package, self.extra = package, extra
         super().__init__(f"{package} is not installed; it comes with the extra '{extra}'; pip install 'flockopt[{extra}]'")
+
+
+def require(module: str, extra: str, package: str = "") -> Any:
+    """A module of an optional dependency, imported when it is first asked for.
+
+    Args:
+        module: Its name, such as ``matplotlib.figure``.
+        extra: The extra of flockopt that brings it.
+        package: What pip calls it, where that is not the module's first name.
+
+    Raises:
+        MissingExtra: If it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtra(package or module.partition(".")[0], extra) from None
 
 
 class SolverFailed(FlockError, RuntimeError):

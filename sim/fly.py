@@ -9,11 +9,11 @@ with the reason why it was not served counts as accounted for.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flockopt import FlockError, Plan, Scene
+from flockopt import Plan, Scene
+from flockopt.cli.status import run_command
 from flockopt.records.status import Status
 from sim.evaluate import add_event_options, add_flight_options, event_settings, flight_settings
 from sim.mission.events import Event, schedule
@@ -28,21 +28,21 @@ __all__ = ["main"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    try:
-        scene, plan = Scene.load(options.scene), Plan.load(options.plan)
-        happening = event_settings(options)
-        events = () if happening is None else schedule(scene, plan, options.seed, happening)
-        with Mission(
-            scene, plan, flight_settings(options), seed=options.seed, tracking_margin_m=TRACKING_MARGIN_M, force=options.force,
-            gui=options.gui,
-        ) as mission:  # fmt: skip
-            outcome = mission.fly(events)
-        flight = outcome.flight
-        if options.movie is not None:
-            save_movie(flight, options.movie)
-    except FlockError as fault:
-        print(f"sim.fly: {fault}", file=sys.stderr)
-        return 2
+    return run_command("sim.fly", lambda: _fly(options))
+
+
+def _fly(options: argparse.Namespace) -> int:
+    scene, plan = Scene.load(options.scene), Plan.load(options.plan)
+    happening = event_settings(options)
+    events = () if happening is None else schedule(scene, plan, options.seed, happening)
+    with Mission(
+        scene, plan, flight_settings(options), seed=options.seed, tracking_margin_m=TRACKING_MARGIN_M, force=options.force,
+        gui=options.gui,
+    ) as mission:  # fmt: skip
+        outcome = mission.fly(events)
+    flight = outcome.flight
+    if options.movie is not None:
+        save_movie(flight, options.movie)
     print("\n".join([*_account(flight), *(_events(events, outcome) if events else [])]))
     is_complete = not outcome.unexplained if events else flight.measures.completion == 1.0
     return 0 if is_complete and not flight.touches else 1

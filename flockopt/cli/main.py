@@ -9,12 +9,10 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from flockopt.errors import FlockError, SettingsError
+from flockopt.cli.status import INTERRUPTED, refuse, run_command
+from flockopt.errors import SettingsError
 
 __all__ = ["main"]
-
-BAD_INPUT = 2
-INTERRUPTED = 130
 
 STATUSES = """exit status: 0 all is well; 1 the plan is not certified, the scene is infeasible, or the plan does not fit the
 device (the output says why); 2 bad input (one line on stderr says what and how to mend it; nothing is written)"""
@@ -68,19 +66,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        options = _parser().parse_args(argv)
-        status: int = options.run(options)
-    except FlockError as fault:
-        return _refuse(str(fault), BAD_INPUT)
+        return run_command("flockopt", lambda: _run(argv))
     except KeyboardInterrupt:
-        return _refuse("interrupted; no output was written after this point", INTERRUPTED)
-    return status
+        return refuse("flockopt", "interrupted; no output was written after this point", INTERRUPTED)
 
 
-def _refuse(message: str, status: int) -> int:
-    from flockopt.cli.text import printable
-
-    print(f"flockopt: {printable(message)}", file=sys.stderr)
+def _run(argv: Sequence[str] | None) -> int:
+    options = _parser().parse_args(argv)
+    status: int = options.run(options)
     return status
 
 

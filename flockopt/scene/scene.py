@@ -35,8 +35,6 @@ from flockopt.scene.parts import (
     Sphere,
     Task,
     obstacle_table,
-    require_positive,
-    set_fields,
 )
 
 __all__ = [
@@ -72,14 +70,11 @@ class Scene:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "name", self.name)
-        set_fields(
-            self,
-            drones=tuple(self.drones), tasks=tuple(self.tasks), obstacles=tuple(self.obstacles),
-            clearance=checks.number(SceneError, "clearance", self.clearance, least=0.0),
-            separation=checks.number(SceneError, "separation", self.separation, least=0.0),
-        )  # fmt: skip
+        for field in ("drones", "tasks", "obstacles"):
+            object.__setattr__(self, field, tuple(getattr(self, field)))
+        checks.store(self, checks.number, SceneError, "clearance", "separation", least=0.0)
         if self.separation_z is not None:
-            require_positive(self, "separation_z")
+            checks.store(self, checks.number, SceneError, "separation_z", above=0.0)
             if self.separation == 0.0:
                 raise SceneError("separation", "is 0", "must be > 0 where separation_z is given", "give both or neither")
         if not self.drones:

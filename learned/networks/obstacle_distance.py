@@ -63,6 +63,7 @@ def _prism(excess: Tensor) -> Tensor:
 
 
 def _prism_gradient(excess: Tensor) -> Tensor:
+    """The gradient of `_prism`: outside the unit vector of the positive excess, inside that of the nearest face."""
     outside = excess.clamp(min=0.0)
     deepest = (excess == excess.amax(dim=-1, keepdim=True)).to(excess.dtype)
     inside = (excess.amax(dim=-1, keepdim=True) <= 0.0).to(excess.dtype)

@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from flockopt.geometry.kernels import point_distance
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from flockopt.travel.blocking import Space, blocker
 
 __all__ = ["Grid", "astar", "center_of", "dijkstra", "linked_voxel", "make_grid", "moves_of"]
@@ -29,8 +29,6 @@ NUM_BUCKETS = 3
 
 #: A place is linked to a voxel at most so many voxels away along each axis.
 LINK_REACH = 2
-
-IntArray = NDArray[np.int64]
 
 
 class Grid(NamedTuple):

@@ -60,7 +60,7 @@ class VoxelSettings:
         if self.connectivity not in CONNECTIVITIES:
             raise SettingsError("connectivity", f"is {self.connectivity!r}", "must be 6 or 26", "choose one")
         if self.side is not None:
-            checks.number(SettingsError, "side", self.side, above=0.0)
+            checks.store(self, checks.number, SettingsError, "side", above=0.0)
 
     def sides(self, scene: Scene) -> list[float]:
         """The sides to try, metres."""
@@ -72,7 +72,7 @@ class VoxelSettings:
         if num_voxels > MOST_VOXELS:
             seen = f"is {self.side:g} m, which makes {num_voxels:.3g} voxels"
             raise SettingsError("side", seen, f"must make at most {MOST_VOXELS}", "take larger voxels")
-        return [float(self.side)]
+        return [self.side]
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from learned.student.scenes.batch import FleetBatch, collate
 from learned.student.scenes.examples import Example
 from learned.student.settings import StudentSettings
 
-__all__ = ["Drawing", "Network", "decide", "draw", "task_probabilities"]
+__all__ = ["DrawnFleet", "Network", "decide", "draw", "task_probabilities"]
 
 #: Tries are told apart leg by leg where they pass their anchors within this, metres.
 SAME_ANCHOR_M = 1e-3
@@ -55,7 +55,7 @@ class Network(Protocol):
 
 
 @dataclass(frozen=True)
-class Drawing:
+class DrawnFleet:
     """A fleet's trajectories as the student draws them.
 
     Attributes:
@@ -95,7 +95,7 @@ def decide(student: Network, batch: FleetBatch) -> tuple[list[FloatArray], Agent
 def draw(
     student: Network, examples: Sequence[Example], *, steps: int | tuple[int, int] = 2, tries: int = 4,
     seed: int | Sequence[int] = 0, tokens: AgentTokens | None = None,
-) -> list[Drawing]:  # fmt: skip
+) -> list[DrawnFleet]:  # fmt: skip
     """Trajectories of the fleets of a batch of scenes with bundles.
 
     Args:
@@ -108,13 +108,13 @@ def draw(
         tokens: Of the scenes, if `decide` made them already.
     """
     apart = not student.settings.fleet_attention
-    drawn = [(one.blocked.any(axis=1) if apart else one.active) for one in examples]
+    drawn = [(one.is_blocked if apart else one.active) for one in examples]
     wanted = [(index, int(drone)) for index, drones in enumerate(drawn) for drone in np.flatnonzero(drones)]
     seeds = [seed] * len(examples) if isinstance(seed, int) else seed
     generators = [torch.Generator().manual_seed(one) for one in seeds]
     tries_of: dict[Place, FloatArray] = {}
     drawings = [
-        Drawing(one.straight.copy(), ~one.blocked.any(axis=1), int(drones.sum()), one)
+        DrawnFleet(one.straight.copy(), ~one.is_blocked, int(drones.sum()), one)
         for one, drones in zip(examples, drawn, strict=True)
     ]
     pencil = _pencil(student, examples, tokens) if wanted else None
@@ -166,7 +166,7 @@ def _pencil(student: Network, examples: Sequence[Example], tokens: AgentTokens |
     return fleets
 
 
-def _choose(one: Example, drawing: Drawing, drone: int, tries: FloatArray) -> None:
+def _choose(one: Example, drawing: DrawnFleet, drone: int, tries: FloatArray) -> None:
     """Put the best of some tries (tries, T, 3) into the drawing; the straight way stays where none is finite."""
     finite = tries[np.isfinite(tries).all(axis=(1, 2))]
     if not len(finite):

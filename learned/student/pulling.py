@@ -23,7 +23,7 @@ def pulled_samples(one: Example, samples: FloatArray) -> FloatArray:
     The corners that are left come first on each leg, and its end is repeated after them.
     """
     result, space = samples.copy(), obstructions(one.scene)
-    for drone in np.flatnonzero(one.blocked.any(axis=1)):
+    for drone in np.flatnonzero(one.is_blocked):
         tolerance = CHORD_TOLERANCE * one.scene.drones[drone].radius
         pull_legs(space, int(drone), one.leg_end[drone], one.blocked[drone], result[drone], tolerance)
     return result

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flockopt import Changes, FlockError, Plan, PlanError, Scene, SettingsError, plan, replan
+from flockopt import Changes, Plan, PlanError, Scene, SettingsError, plan, replan
+from flockopt.cli.status import INTERRUPTED, run_command
 from flockopt.records import checks
 from flockopt.records.status import Status
 from sim.live.page import Page
@@ -18,8 +18,6 @@ from sim.live.session import MOST_SPEED, Session
 from sim.trials.trial import TRACKING_MARGIN_M
 
 __all__ = ["main"]
-
-BAD_INPUT, INTERRUPTED = 2, 130
 
 PICTURES_PER_S = 30.0
 
@@ -49,19 +47,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
     try:
-        load_viser()
-        if not 0 <= options.port <= MOST_PORT:
-            raise SettingsError("port", f"is {options.port}", f"must be within 0 and {MOST_PORT}", "choose one above 1023")
-        scene = _with_spare(Scene.load(options.scene), options.spare)
-        made = _planned(scene, options)
-        with Session(scene, made, seed=options.seed, speed=options.speed, tracking_margin_m=options.tracking_margin) as session:
-            _serve(session, options.port)
-    except FlockError as fault:
-        print(f"sim.live: {fault}", file=sys.stderr)
-        return BAD_INPUT
+        return run_command("sim.live", lambda: _live(options))
     except KeyboardInterrupt:
         return INTERRUPTED
-    return 0
+
+
+def _live(options: argparse.Namespace) -> None:
+    load_viser()
+    if not 0 <= options.port <= MOST_PORT:
+        raise SettingsError("port", f"is {options.port}", f"must be within 0 and {MOST_PORT}", "choose one above 1023")
+    scene = _with_spare(Scene.load(options.scene), options.spare)
+    made = _planned(scene, options)
+    with Session(scene, made, seed=options.seed, speed=options.speed, tracking_margin_m=options.tracking_margin) as session:
+        _serve(session, options.port)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -114,9 +114,8 @@ class EventSettings:
     gust_s: float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "number", checks.integer(SettingsError, "number", self.number, least=1))
-        for field in ("within", "most_late_s", "gust_mps", "gust_s"):
-            object.__setattr__(self, field, checks.number(SettingsError, field, getattr(self, field), above=0.0))
+        checks.store(self, checks.integer, SettingsError, "number", least=1)
+        checks.store(self, checks.number, SettingsError, "within", "most_late_s", "gust_mps", "gust_s", above=0.0)
         object.__setattr__(self, "kinds", tuple(self.kinds))
         for kind in self.kinds or ("",):
             if kind not in KINDS:

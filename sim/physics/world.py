@@ -22,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flockopt.errors import MissingExtra, SettingsError, SolverFailed
+from flockopt.errors import SettingsError, SolverFailed, require
 from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Box, Cylinder, Obstacle, Point, Scene
@@ -56,11 +56,8 @@ def load_pybullet() -> ModuleType:
     """
     if "pybullet" in sys.modules:
         return sys.modules["pybullet"]
-    try:
-        with _silence():
-            import pybullet
-    except ImportError:
-        raise MissingExtra("pybullet", "sim") from None
+    with _silence():
+        pybullet: ModuleType = require("pybullet", extra="sim")
     return pybullet
 
 
@@ -108,8 +105,7 @@ class World:
         self, scene: Scene, vehicles: list[Vehicle], step_s: float, *, shape: str = "ball", gui: bool = False,
         every_step: bool = False,
     ) -> None:  # fmt: skip
-        if shape not in SHAPES:
-            raise SettingsError("shape", f"is {shape!r}", f"must be one of {', '.join(SHAPES)}", "choose one")
+        checks.choice(SettingsError, "shape", shape, known=SHAPES)
         self._every_step = every_step or gui
         self.step_s = checks.number(SettingsError, "step_s", step_s, above=0.0)
         self._scene, self._bullet = scene, load_pybullet()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flockopt.errors import MissingExtra
+from flockopt.errors import require
 from sim.trials.status import TrialStatus
 
 __all__ = ["draw_summary", "flawless", "summary_text"]
@@ -119,12 +119,8 @@ def draw_summary(rows: Rows, path: Path) -> None:
     Raises:
         MissingExtra: If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtra("matplotlib", "show") from None
+    figure = require("matplotlib.figure", extra="show").Figure(figsize=(12, 8), layout="constrained")
     chosen = [measure for measure in MEASURES if measure[1] not in ("episode_steps", "makespan", "energy")]
-    figure = Figure(figsize=(12, 8), layout="constrained")
     for axes, (words, column, factor, _) in zip(figure.subplots(3, 4).flat, chosen, strict=True):
         values = [factor * row[column] for row in rows if row[column] is not None]
         axes.hist(values, bins=min(20, max(4, len(values) // 4)), color="#4878a8", edgecolor="white")

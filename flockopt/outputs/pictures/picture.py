@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flockopt.errors import MissingExtra
+from flockopt.errors import require
 from flockopt.outputs.pictures.motion import SampledMotion, sample_motion
 from flockopt.outputs.pictures.style import DANGER, INK, MUTED, drone_color, drone_round, headline
 from flockopt.outputs.pictures.top_view import draw_top_view
@@ -41,12 +41,11 @@ def picture(scene: Scene, plan: Plan | None = None) -> bytes:
     Raises:
         MissingExtra: If matplotlib is not installed.
     """
-    try:
-        import matplotlib
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtra("matplotlib", "show") from None
+    require("matplotlib", extra="show")
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     motion = sample_motion(scene, plan)
     with matplotlib.rc_context(), warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes, and that is all there is to say about it.

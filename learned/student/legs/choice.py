@@ -11,12 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from learned.student.legs.clearance import Obstructions, length, polyline_is_clear, segment_is_clear, thinned
 
 __all__ = ["best_legs", "pull_legs", "rank"]
-
-IntArray = NDArray[np.int64]
 
 
 @njit(cache=True)

@@ -8,15 +8,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from learned.student.legs.clearance import Obstructions, segment_is_clear
 
 __all__ = ["CLEAR_SHARE", "lay_out"]
 
 #: A leg whose straight line is clear gets this share of the samples that its length would bring it.
 CLEAR_SHARE = 0.25
-
-IntArray = NDArray[np.int64]
 
 
 @njit(cache=True)

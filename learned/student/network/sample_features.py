@@ -1,4 +1,4 @@
-"""What the samples of one drone's straight way are told of their surroundings, compiled: twin of `learned.student.network.leg_frame`.
+"""What the samples of one drone's straight way are told of their surroundings: `learned.student.network.leg_frame`, compiled.
 
 For inference, where many small tensor operations would take longer than the network. Same features, float64 inside.
 """
@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from flockopt.geometry.distances import BOX, CYLINDER
 from flockopt.geometry.kernels import point_distance, point_gradient
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from learned.student.legs.clearance import Obstructions
 from learned.student.network.leg_frame import LEAST_UNIT_M, NEEDS_PER_UNIT, NUM_OWN, NUM_PER_OBSTACLE, REACH
 from learned.student.scenes.batch import FAR_AWAY_M, MOST_OBSTACLES, THINNING
 
 __all__ = ["add_residuals", "told_of"]
-
-IntArray = NDArray[np.int64]
 
 
 @njit(cache=True)
@@ -28,7 +26,7 @@ def told_of(
     space: Obstructions, need: float, leg_begin: IntArray, leg_end: IntArray, blocked: NDArray[np.bool_],
     straight: FloatArray, nearest: int,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """(T, 3 + 13 + 15 nearest) features of one drone's samples, as `learned.student.network.leg_frame.sample_features` has them.
+    """(T, 3 + 13 + 15 nearest) features of one drone's samples: twin of `learned.student.network.leg_frame.sample_features`.
 
     Before them are three zeros, in the place of the noisy sample that the denoiser reads with them.
 
@@ -125,7 +123,7 @@ def _tell_of_one(obstacle: FloatArray, unit: float, axes: FloatArray, point: Flo
 def add_residuals(
     need: float, leg_begin: IntArray, leg_end: IntArray, straight: FloatArray, residuals: NDArray[np.float32]
 ) -> FloatArray:
-    """(C, T, 3) m: tries from their residuals (C, T, 3), as `learned.student.network.leg_frame.to_points`; anchors stay exact."""
+    """(C, T, 3) m: tries from their residuals (C, T, 3): twin of `learned.student.network.leg_frame.to_points`."""
     unit = max(NEEDS_PER_UNIT * need, LEAST_UNIT_M)
     points = np.empty(residuals.shape)
     for sample in range(len(straight)):

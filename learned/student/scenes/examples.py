@@ -15,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flockopt.errors import SettingsError
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from flockopt.scene import Scene
 from learned.paths.rollout import anchors_of
 from learned.student.legs.clearance import obstructions
 from learned.student.legs.layout import lay_out
 
 __all__ = ["Example", "example", "unassigned", "with_ways"]
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,12 @@ class Example:
     @property
     def active(self) -> NDArray[np.bool_]:
         """(N,), m in the paper: drones that go anywhere."""
-        return self.leg_end.max(axis=1) > 0
+        return np.greater(self.leg_end.max(axis=1), 0)
+
+    @property
+    def is_blocked(self) -> NDArray[np.bool_]:
+        """(N,): drones with a leg whose straight line is not clear."""
+        return np.logical_or.reduce(self.blocked, axis=1)
 
 
 def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64) -> Example:
@@ -70,8 +73,8 @@ def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64
             rule = f"a drone has at most {num_samples - 1} legs"
             raise SettingsError(f"bundles[{drone}]", f"makes {num_legs} legs", rule, "spread the tasks over more drones")
     straight = np.repeat(scene.starts[:, None], num_samples, axis=1)
-    legs, blocked = lay_out(obstructions(scene), np.concatenate(anchors), offsets, straight)
-    return Example(scene, tuple(tuple(route) for route in routes), *legs, straight, blocked)
+    (leg_index, leg_begin, leg_end), blocked = lay_out(obstructions(scene), np.concatenate(anchors), offsets, straight)
+    return Example(scene, tuple(map(tuple, routes)), leg_index, leg_begin, leg_end, straight, blocked)
 
 
 def unassigned(scene: Scene) -> Example:

@@ -13,10 +13,7 @@ torch = pytest.importorskip("torch")
 from flockopt import Sphere, generate  # noqa: E402 - torch may be missing
 from flockopt.flights.waypoints import leg_clear, thinned  # noqa: E402
 from learned.paths.rollout import anchors_of  # noqa: E402
-from learned.student.legs import (
-    choice,
-    clearance,
-)
+from learned.student.legs import choice, clearance  # noqa: E402
 from learned.student.legs.clearance import obstructions  # noqa: E402
 from learned.student.legs.layout import CLEAR_SHARE, anchor_places  # noqa: E402
 from learned.student.network.leg_frame import leg_frames, sample_features  # noqa: E402

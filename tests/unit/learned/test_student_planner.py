@@ -34,7 +34,7 @@ def forest():
 def planners(monkeypatch):
     """The planners, registered, with a tiny network in place of the shipped one."""
     student = tiny_student("small")
-    monkeypatch.setattr(planner, "shipped_student", lambda: student)
+    monkeypatch.setattr(planner, "shipped_student", lambda path: student)
     for function in (learned, hybrid):
         monkeypatch.setitem(PLANNERS, function.__name__, function)
     return student
@@ -83,7 +83,7 @@ def test_nan_from_the_network_never_reaches_a_plan(config, forest, monkeypatch):
     student = tiny_student(config)
     for parameter in student.parameters():
         parameter.data.fill_(torch.nan)
-    monkeypatch.setattr(planner, "shipped_student", lambda: student)
+    monkeypatch.setattr(planner, "shipped_student", lambda path: student)
     base = example(forest, random_routes(forest, 1))
     (drawing,) = draw(student, [base])
     assert np.array_equal(drawing.samples, base.straight)

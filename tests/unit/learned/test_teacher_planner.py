@@ -149,7 +149,6 @@ def test_paths_are_an_option_of_the_command_line(root, flockopt, allocators, tmp
 
 
 def test_without_torch_the_extra_is_named(scene, monkeypatch):
-    monkeypatch.setitem(sys.modules, "learned.teacher.allocators", None)
-    planner.allocator.cache_clear()
-    with pytest.raises(MissingExtra, match="'learned'"):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingExtra, match="torch is not installed; it comes with the extra 'learned'"):
         planner.allocator("teacher")
