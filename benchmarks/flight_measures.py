@@ -56,9 +56,8 @@ def clearance_margin(scene: Scene, flights: Mapping[str, Flight]) -> float:
     margins = [np.inf]
     for drone in scene.drones:
         if drone.id in flights:
-            curve, needs = flights[drone.id].curve, np.full(len(scene.obstacles), drone.radius + scene.clearance)
-            room = scene.obstacle_table, scene.obstacle_boxes, needs
-            margins.append(least_clearance(*room, curve.breakpoints, curve.coefficients, MARGIN_TOLERANCE_M)[0])
+            curve, space = flights[drone.id].curve, scene.free_space(drone.radius + scene.clearance)
+            margins.append(least_clearance(space, curve.breakpoints, curve.coefficients, MARGIN_TOLERANCE_M)[0])
     return min(margins)
 
 

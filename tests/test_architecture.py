@@ -62,7 +62,9 @@ def imports(name):
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
                 found.add(whole if whole in MODULES else node.module)
-        elif isinstance(node, ast.Call) and name not in BY_NAME and ast.unparse(node.func).endswith(("import_module", "require")):
+        elif (
+            isinstance(node, ast.Call) and name not in BY_NAME and ast.unparse(node.func).endswith(("import_module", "require"))
+        ):
             assert isinstance(node.args[0], ast.Constant), f"{name} imports by a computed name"
             found.add(node.args[0].value)
         for child in ast.iter_child_nodes(node):

@@ -10,7 +10,6 @@ import numpy as np
 from flockopt.certificate import fcl_engine
 from flockopt.certificate.case import RESOLUTION_M, JudgedCase, Nearest
 from flockopt.geometry.continuous import least_clearance, least_separation
-from flockopt.geometry.distances import bounding_boxes
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["ENGINES", "Engine"]
@@ -30,11 +29,10 @@ class Engine:
 
 
 def _clearance(case: JudgedCase) -> Nearest | None:
-    table, nearest = case.scene.obstacle_table, None
-    boxes = bounding_boxes(table)
-    for i, drone in enumerate(case.scene.drones if len(table) else ()):
-        needs = np.full(len(table), drone.radius + case.scene.clearance)
-        margin, time, k = least_clearance(table, boxes, needs, *case.curves[i], RESOLUTION_M)
+    nearest = None
+    for i, drone in enumerate(case.scene.drones if case.scene.obstacles else ()):
+        space = case.scene.free_space(drone.radius + case.scene.clearance)
+        margin, time, k = least_clearance(space, *case.curves[i], RESOLUTION_M)
         if nearest is None or margin < nearest.margin:
             nearest = Nearest(margin, time, case.place(i, time), i, k)
     return nearest

@@ -13,9 +13,10 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from flockopt.errors import SceneError
 from flockopt.geometry.distances import bounding_boxes, distances
@@ -36,6 +37,9 @@ from flockopt.scene.parts import (
     Task,
     obstacle_table,
 )
+
+if TYPE_CHECKING:
+    from flockopt.geometry.free_space import FreeSpace
 
 __all__ = [
     "GRAVITY_MPS2", "Bounds", "Box", "Cylinder", "Drone", "Obstacle", "Origin", "Point", "Scene", "Sphere", "Task",
@@ -136,6 +140,12 @@ class Scene:
     def obstacle_boxes(self) -> FloatArray:
         """(K, 2, 3) m, the obstacles' axis-aligned bounding boxes."""
         return bounding_boxes(self.obstacle_table)
+
+    def free_space(self, needs: ArrayLike) -> FreeSpace:
+        """Where a drone's centre may be that keeps ``needs`` metres, (K,) or one number, from the obstacles."""
+        from flockopt.geometry.free_space import free_space
+
+        return free_space(self.obstacle_table, needs, (self.bounds.lower, self.bounds.upper), self.obstacle_boxes)
 
     @property
     def separation_axes(self) -> Point:

@@ -19,7 +19,6 @@ from torch import Tensor
 from flockopt.flights.waypoints import CHORD_TOLERANCE, anchored_legs
 from flockopt.records.arrays import FloatArray
 from learned.student.legs.choice import best_legs, rank
-from learned.student.legs.clearance import obstructions
 from learned.student.network.rows import Place, Rows, points_of, rows_of
 from learned.student.network.scene_encoder import AgentTokens
 from learned.student.scenes.batch import FleetBatch, collate
@@ -171,14 +170,14 @@ def _choose(one: Example, drawing: DrawnFleet, drone: int, tries: FloatArray) ->
     finite = tries[np.isfinite(tries).all(axis=(1, 2))]
     if not len(finite):
         return
-    tolerance = CHORD_TOLERANCE * one.scene.drones[drone].radius
-    space = obstructions(one.scene)
+    radius = one.scene.drones[drone].radius
+    tolerance, space = CHORD_TOLERANCE * radius, one.scene.free_space(radius + one.scene.clearance)
     if _shares_anchors(one, drone, finite):
         samples = one.straight[drone].copy()
-        is_clear = best_legs(space, drone, one.leg_end[drone], one.blocked[drone], samples, finite, tolerance)
+        is_clear = best_legs(space, one.leg_end[drone], one.blocked[drone], samples, finite, tolerance)
     else:
         ways = [anchored_legs(one.scene, drone, one.routes[drone], samples) for samples in finite]
-        ranked = [sum(rank(space, drone, leg, tolerance) for leg in legs) for legs in ways]
+        ranked = [sum(rank(space, leg, tolerance) for leg in legs) for legs in ways]
         samples, is_clear = finite[int(np.argmin(ranked))], min(ranked) < np.inf
     drawing.samples[drone], drawing.clear[drone] = samples, is_clear
 

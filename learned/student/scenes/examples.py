@@ -18,7 +18,6 @@ from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray, IntArray
 from flockopt.scene import Scene
 from learned.paths.rollout import anchors_of
-from learned.student.legs.clearance import obstructions
 from learned.student.legs.layout import lay_out
 
 __all__ = ["Example", "example", "unassigned", "with_ways"]
@@ -67,14 +66,18 @@ def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64
         SettingsError: If a drone has more anchors than samples.
     """
     anchors = [anchors_of(scene, drone, route) for drone, route in enumerate(routes)]
-    offsets = np.cumsum([0, *map(len, anchors)])
-    for drone, num_legs in enumerate(np.diff(offsets) - 1):
-        if num_legs >= num_samples:
+    for drone, own in enumerate(anchors):
+        if len(own) > num_samples:
             rule = f"a drone has at most {num_samples - 1} legs"
-            raise SettingsError(f"bundles[{drone}]", f"makes {num_legs} legs", rule, "spread the tasks over more drones")
+            raise SettingsError(f"bundles[{drone}]", f"makes {len(own) - 1} legs", rule, "spread the tasks over more drones")
     straight = np.repeat(scene.starts[:, None], num_samples, axis=1)
-    (leg_index, leg_begin, leg_end), blocked = lay_out(obstructions(scene), np.concatenate(anchors), offsets, straight)
-    return Example(scene, tuple(map(tuple, routes)), leg_index, leg_begin, leg_end, straight, blocked)
+    legs = np.zeros((3, scene.num_drones, num_samples), dtype=np.int64)
+    blocked = np.zeros((scene.num_drones, num_samples), dtype=np.bool_)
+    for drone, own in enumerate(anchors):
+        if len(own) > 1:
+            space = scene.free_space(scene.radii[drone] + scene.clearance)
+            legs[:, drone], blocked[drone] = lay_out(space, own, straight[drone])
+    return Example(scene, tuple(tuple(route) for route in routes), *legs, straight, blocked)
 
 
 def unassigned(scene: Scene) -> Example:

@@ -13,7 +13,8 @@ torch = pytest.importorskip("torch")
 
 from flockopt import Bundles, MissingExtra, SettingsError, generate, plan  # noqa: E402 - torch may be missing
 from flockopt.flights.smoothing.stages import squared_jerk  # noqa: E402
-from flockopt.flights.waypoints import anchored_legs, leg_clear, thinned  # noqa: E402
+from flockopt.flights.waypoints import anchored_legs, leg_clear  # noqa: E402
+from flockopt.geometry.polylines import thinned  # noqa: E402
 from flockopt.planning.planners import PLANNERS, Proposal, Request  # noqa: E402
 from flockopt.travel.travel import straight_travel  # noqa: E402
 from learned.student import planner  # noqa: E402
