@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import subprocess
 import sys
 
@@ -19,7 +20,7 @@ from flockopt.planning.planners import PLANNERS, Planner, Proposal, Request  # n
 from flockopt.travel.travel import straight_travel  # noqa: E402
 from learned.student import planner  # noqa: E402
 from learned.student.inference import draw, task_probabilities  # noqa: E402
-from learned.student.planner import shipped_student  # noqa: E402
+from learned.student.planner import HYBRID, LEARNED, LEARNED_PAPER, TIMED_WEIGHTS, WEIGHTS, shipped_student  # noqa: E402
 from learned.student.pulling import pulled_samples  # noqa: E402
 from learned.student.scenes.batch import collate  # noqa: E402
 from learned.student.scenes.examples import example, unassigned  # noqa: E402
@@ -172,8 +173,8 @@ def test_a_drone_with_more_legs_than_samples_flies_the_paths(planners):
 def test_no_tasks_and_too_little_capacity(forest):
     assert plan(dataclasses.replace(forest, tasks=()), planner=HYBRID).status == "certified"
     grounded = dataclasses.replace(forest, drones=tuple(dataclasses.replace(drone, capacity=1) for drone in forest.drones))
-    for name in ("learned", "hybrid"):
-        assert plan(grounded, planner=name).status == "infeasible"
+    for proposer in (LEARNED, HYBRID):
+        assert plan(grounded, planner=proposer).status == "infeasible"
 
 
 def test_drones_that_only_fly_home_are_drawn_too(planners):
