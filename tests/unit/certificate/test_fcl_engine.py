@@ -104,7 +104,7 @@ def test_nothing_to_keep():
     scene = Scene("s", SPACE, (drone("d0", (-5.0, 0.0, 0.0)), drone("d1", (0.0, 1.0, 0.0))))
     plan = plan_of(scene, d0=straight((-5, 0, 0), (5, 0, 0)))
     assert least_clearance(scene, plan) is None
-    assert least_separation(scene, plan) is None
+    assert least_separation(scene, plan).margin == pytest.approx(1.0 - 2 * scene.drones[0].radius)  # bodies count
     alone = Scene("s", SPACE, scene.drones[:1], separation=1.0)
     assert least_separation(alone, plan_of(alone)) is None
 

@@ -111,8 +111,8 @@ def test_the_schedule_has_least_makespan():
     scene, routes = PLANTED["eight through one door"]
     flights = list(decode(scene, Bundles(routes)).values())
     curves = [(flight.curve.breakpoints, flight.curve.coefficients) for flight in flights][:3]
-    axes, step, most = np.array(scene.separation_axes), 0.2, 8
-    delays = schedule(curves, [True] * 3, axes, step, most)
+    axes, step, most = scene.axes_between(0, 1), 0.2, 8
+    delays = schedule(curves, [True] * 3, scene.axes_between, step, most)
     assert delays is not None
     tables = {(a, b): meeting_steps(*curves[a], *curves[b], axes, step, most) for a, b in itertools.combinations(range(3), 2)}
     best = min(
@@ -128,7 +128,7 @@ def test_no_delay_helps_two_drones_that_end_at_one_place():
     scene = make_scene(ends, [(3, 5, 1), (7, 5, 1)])
     flights = decode(scene, Bundles(((0,), (1,))))
     curves = [(flight.curve.breakpoints, flight.curve.coefficients) for flight in flights.values()]
-    assert schedule(curves, [True, True], np.array(scene.separation_axes), 0.2, 20) is None
+    assert schedule(curves, [True, True], scene.axes_between, 0.2, 20) is None
 
 
 def test_a_drone_that_only_comes_to_a_halt_has_no_way_around():
