@@ -55,13 +55,16 @@ class Detours:
         """
         parking = _position(curves[blocker], np.inf)
         if self._inside(self._anchors(drone), parking, drone, blocker).any():
-            if blocker not in self.spots and self._may_move_on(blocker):
-                spot = self._free_spot(blocker, parking, curves)
-                flight = None if spot is None else self._onward(blocker, spot)
-                if flight is not None:
-                    return blocker, flight
+            flight = self._moved_on(blocker, parking, curves)
+            if flight is not None:
+                return blocker, flight
         else:
             flight = self._around(drone, blocker, parking)
+            if flight is not None:
+                return drone, flight
+        own = _position(curves[drone], np.inf)
+        if self._inside(self._anchors(blocker), own, blocker, drone).any():  # it is the drone itself that stays in the way
+            flight = self._moved_on(drone, own, curves)
             if flight is not None:
                 return drone, flight
         if meeting_s < 0.0:
@@ -71,6 +74,13 @@ class Detours:
             if flight is not None:
                 return one, flight
         return None
+
+    def _moved_on(self, drone: int, parking: FloatArray, curves: list[tuple[FloatArray, FloatArray]]) -> Flight | None:
+        """The flight of a drone that leaves the place where it would park; None if it may not, or did already."""
+        if drone in self.spots or not self._may_move_on(drone):
+            return None
+        spot = self._free_spot(drone, parking, curves)
+        return None if spot is None else self._onward(drone, spot)
 
     def _travels(self, drone: int) -> bool:
         """Whether a drone has somewhere to go: a task, or an end elsewhere."""

@@ -129,7 +129,7 @@ def test_without_python_fcl_it_names_the_extra(monkeypatch):
 
 
 def test_the_judge_loads_fcl_only_when_asked():
-    code = "import flockopt.certify, sys; print('fcl' in sys.modules)"
+    code = "import flockopt.certificate.judge, sys; print('fcl' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split() == ["False"]
 
 

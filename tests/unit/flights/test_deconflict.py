@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from flockopt import Box, Bundles, Scene, decode, deconflict
+from flockopt import Box, Bundles, Scene, decode, deconflict, plan
 from flockopt.flights.apart.schedule import meeting_steps, schedule
 from tests.flights import check_flights, drone, make_scene, worst_separation
 
@@ -136,3 +136,27 @@ def test_a_drone_that_only_comes_to_a_halt_has_no_way_around():
     bundles = Bundles(((), ()))
     result = deconflict(scene, bundles, decode(scene, bundles))
     assert [conflict.drones for conflict in result.unresolved] == [("d0", "d1")]
+
+
+def crossing(*pairs, tasks=(), **fields):
+    """Drones with ends and no tasks, by start and end, in an empty room."""
+    drones = [drone(index, start, end=end) for index, (start, end) in enumerate(pairs)]
+    return make_scene(drones, list(tasks), **fields)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        crossing(((4, 5, 1), (6, 5, 1)), ((6, 5, 1), (4, 5, 1))),
+        crossing(((4, 5, 1), (6, 5, 1)), ((6, 5, 1), (4, 5, 1)), ((5, 4, 1), (5, 6, 1)), ((5, 6, 1), (5, 4, 1))),
+    ],
+    ids=["two", "four"],
+)
+def test_drones_with_ends_and_no_tasks_give_way_too(scene):
+    assert plan(scene, planner="classical").status == "certified"
+
+
+def test_a_drone_that_has_served_moves_off_for_one_that_comes():
+    """The second drone's task is the first one's end."""
+    scene = make_scene([drone(0, (2, 5, 1), capacity=0, end=(5, 5, 1)), drone(1, (8, 5, 1))], [(5, 5, 1)])
+    assert plan(scene, planner="classical").status == "certified"
