@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -242,6 +243,7 @@ class Program:
                 "nlp_hess_l", [x, p, cost_weight, multipliers], [curvature], inputs, ["triu_hess_gamma_x_x"]
             ),
         }
+        self._in_use = Lock()  # a solver keeps the numbers of its last run, which another thread must not mix with its own
         self._solver = ca.nlpsol("smooth", "ipopt", {"x": x, "p": p, "f": f, "g": g}, {**OPTIONS, **derivatives})
 
     def solve(self, task: Task, guess: FloatArray, lower: FloatArray, upper: FloatArray) -> Answer:
@@ -251,11 +253,12 @@ class Program:
             SolverFailed: If CasADi or Ipopt crash; not finding an answer is a status.
         """
         floor, ceiling = self._bounds(task, guess)
-        try:
-            found = self._solver(x0=guess, p=task.parameters(), lbx=lower, ubx=upper, lbg=floor, ubg=ceiling)
-            stats = self._solver.stats()
-        except RuntimeError as fault:
-            raise SolverFailed("ipopt", str(fault)) from None
+        with self._in_use:
+            try:
+                found = self._solver(x0=guess, p=task.parameters(), lbx=lower, ubx=upper, lbg=floor, ubg=ceiling)
+                stats = self._solver.stats()
+            except RuntimeError as fault:
+                raise SolverFailed("ipopt", str(fault)) from None
         return Answer(np.array(found["x"]).ravel(), int(stats["iter_count"]), str(stats["return_status"]))
 
     def _bounds(self, task: Task, guess: FloatArray) -> tuple[FloatArray, FloatArray]:
