@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flockopt.errors import MissingExtra, SolverFailed
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["Program", "Solution"]
+__all__ = ["HighsProgram", "Solution"]
 
 #: Branch and bound ends where bound and solution are this close, metres.
 LEAST_MIP_GAP_M = 1e-7
@@ -34,7 +34,7 @@ class Solution:
     bound: float
 
 
-class Program:
+class HighsProgram:
     """Minimise ``costs @ x`` over 0 <= x <= 1 with ``lower <= A x <= upper``; rows and columns may be added.
 
     Args:
