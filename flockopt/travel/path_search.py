@@ -253,15 +253,16 @@ def _relax(view: View, sight: Sight, u: int, come: Step, worst: float, search: S
     """Shorten the ways to the features that the settled feature u sees."""
     features, pool, frontier = view.features, sight.pool, search.frontier
     position = features.position
-    distance, estimate, place = search.distance, search.estimate, frontier.place
+    distance, estimate, parent, place = search.distance, search.estimate, search.parent, frontier.place
+    x, y, z, so_far = position[u, 0], position[u, 1], position[u, 2], distance[u]  # read once: this is the busiest loop
     for entry in range(sight.begin[u], sight.end[u]):
         v = np.int64(pool[entry])  # so that what follows is compiled for one type of index
         if place[v] == SETTLED:
             continue
-        go = step(position, u, position, v)
-        length = distance[u] + norm(go)
+        go = position[v, 0] - x, position[v, 1] - y, position[v, 2] - z
+        length = so_far + norm(go)
         if length >= distance[v] or length + estimate[v] >= worst:
             continue
         if wraps(features, u, come, go):
-            distance[v], search.parent[v] = length, u
+            distance[v], parent[v] = length, u
             offer(frontier, v, length + estimate[v])
