@@ -17,10 +17,10 @@ from flockopt.bundles.exact.exact import solve_exact
 from flockopt.bundles.explain import explained
 from flockopt.travel import Travel
 
-__all__ = ["ALLOCATORS", "Allocator", "allocator", "nearest_task"]
+__all__ = ["ALLOCATORS", "AllocationMethod", "allocator", "nearest_task"]
 
 #: Allocates a scene, given its travel and a seed.
-Allocator: TypeAlias = Callable[[Scene, Travel, int], Bundles]
+AllocationMethod: TypeAlias = Callable[[Scene, Travel, int], Bundles]
 
 
 def _refined(method: str, scene: Scene, travel: Travel, seed: int, time_limit_s: float | None) -> Bundles:
@@ -69,7 +69,7 @@ ALLOCATORS: dict[str, Callable[[Scene, Travel, int, float | None], Bundles]] = {
 }
 
 
-def allocator(name: str) -> Allocator:
+def allocator(name: str) -> AllocationMethod:
     """The method called ``NAME``, ``NAME-20ms`` or ``NAME-1.5s``, or the function ``module:function``.
 
     Raises:

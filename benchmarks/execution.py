@@ -10,7 +10,6 @@ with PyBullet asked while something is near, as flights are, and in every step.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.planning import CITIES, Case, warm_up
-from benchmarks.report import Rows, header, markdown_table, write_summary
+from benchmarks.planning import CITIES, PlanningCase, warm_up
+from benchmarks.report import CsvRows, benchmark_parser, header, markdown_table, tell, write_summary
 from flockopt import FlockError, Scene, generate, plan
 from flockopt.scene.families.layouts import FAMILIES
 from sim.mission.execute import execute
@@ -42,17 +41,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every flight was certified, complete and without contact."""
     options = _parser().parse_args(argv)
     settings = FlightSettings(vehicle=options.vehicle, controller=options.controller)
-    rows = Rows(options.out / "execution.csv", COLUMNS)
+    rows = CsvRows(options.out / "execution.csv", COLUMNS)
     warm_up(options.planner)
     cases = [
-        Case(family, options.drones, options.tasks, options.seed + offset)
+        PlanningCase(family, options.drones, options.tasks, options.seed + offset)
         for family in options.families
         for offset in range(1 if family in CITIES else options.scenes)
     ]
     for number, case in enumerate(cases, start=1):
         rows.add(_row(case, options, settings))
-        print(f"\r{number}/{len(cases)} {case.family:<10}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        tell(f"{number}/{len(cases)} {case.family:<10}")
+    tell("\n")
     rows.close()
     factors = [(drones, *_fastest(drones, options, settings)) for drones in options.fleets]
     write_summary(options.out, _summary(rows.records, factors, settings))
@@ -61,10 +60,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.execution", description=__doc__.split("\n")[0])
+    parser = benchmark_parser("execution", __doc__)
     parser.add_argument("--scenes", type=int, default=20, help="seeds for each family (default 20)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     names = [*FAMILIES, *CITIES]
     parser.add_argument("--families", nargs="+", default=names, choices=names, help="what to fly")
     parser.add_argument("--drones", type=int, default=10, help="in each scene of a family (default 10)")
@@ -80,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _row(case: Case, options: argparse.Namespace, settings: FlightSettings) -> dict[str, Any]:
+def _row(case: PlanningCase, options: argparse.Namespace, settings: FlightSettings) -> dict[str, Any]:
     scene = case.scene()
     record: dict[str, Any] = dict.fromkeys(COLUMNS) | {
         "scene": scene.sha256[:12], "family": case.family, "seed": case.seed, "drones": scene.num_drones,
@@ -93,11 +90,11 @@ def _row(case: Case, options: argparse.Namespace, settings: FlightSettings) -> d
         flight = execute(scene, made, settings)
     except FlockError as fault:
         return record | {"status": record["status"] or "error", "failed": str(fault)}
-    outcome = flight.outcome
+    measures = flight.measures
     return record | {
-        "execution_completion": outcome.completion, "contacts": len(flight.touches),
-        "mean_tracking_error": outcome.mean_tracking_error, "max_tracking_error": outcome.max_tracking_error,
-        "min_clearance": outcome.min_clearance, "min_separation": outcome.min_separation,
+        "execution_completion": measures.completion, "contacts": len(flight.touches),
+        "mean_tracking_error": measures.mean_tracking_error, "max_tracking_error": measures.max_tracking_error,
+        "min_clearance": measures.min_clearance, "min_separation": measures.min_separation,
         "real_time_factor": flight.real_time_factor,
     }  # fmt: skip
 

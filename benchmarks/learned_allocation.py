@@ -18,10 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.allocators import nearest_task
-from benchmarks.report import Rows, header, markdown_table, write_summary
-from flockopt import FlockError, Scene, compute_travel, generate
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, write_summary
+from flockopt import Scene, compute_travel, generate
 from flockopt.bundles.bundles import insertion_cost
 from flockopt.bundles.exact.exact import solve_exact
+from flockopt.cli.status import run_command
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from learned.teacher.allocators import Allocation, load_allocator
@@ -41,18 +42,12 @@ CONFIDENCE = 1.96
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 2 on bad input."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.learned_allocation", description=(__doc__ or "").split("\n")[0])
+    parser = benchmark_parser("learned_allocation", __doc__)
     parser.add_argument("--scenes", type=int, default=100, help="how many (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
     parser.add_argument("--teacher", type=Path, help="the teacher's weights (default those of the package)")
     parser.add_argument("--magnnet", type=Path, help="MAGNNET's weights (default those of the package)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     options = parser.parse_args(argv)
-    try:
-        return _run(options)
-    except FlockError as fault:
-        print(f"benchmarks.learned_allocation: {fault}", file=sys.stderr)
-        return 2
+    return run_command("benchmarks.learned_allocation", lambda: _run(options))
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -69,7 +64,7 @@ def _run(options: argparse.Namespace) -> int:
     found["nearest task, one each"] = _greedy([_with_one_each(scene) for scene in scenes], travels)
     optima = [solve_exact(scene, travel, time_limit_s=PROOF_S).proven for scene, travel in zip(scenes, travels, strict=True)]
     assignments = [optimal_one_task_cost(travel.start_task) for travel in travels]
-    rows = Rows(options.out / "learned_allocation.csv", COLUMNS)
+    rows = CsvRows(options.out / "learned_allocation.csv", COLUMNS)
     for method, allocations in found.items():
         references = assignments if method in ONE_TASK else optima
         for scene, travel, allocation, reference in zip(scenes, travels, allocations, references, strict=True):
@@ -96,7 +91,7 @@ def _with_one_each(scene: Scene) -> Scene:
     return scene.replace(drones=tuple(dataclasses.replace(drone, capacity=1) for drone in scene.drones))
 
 
-def _summary(records: list[dict[str, object]]) -> str:
+def _summary(records: list[Record]) -> str:
     columns = ["method", "scenes", "cost, m", "above the reference, %", "insertion cost, m", "steps"]
     table = []
     for method in dict.fromkeys(record["method"] for record in records):

@@ -19,19 +19,17 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.allocators import Allocator, allocator
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
-from flockopt import FlockError, Scene, compute_travel, generate, lower_bound
+from benchmarks.allocation_cases import AllocationCase
+from benchmarks.allocators import AllocationMethod, allocator
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
+from flockopt import FlockError, Scene, lower_bound
 from flockopt.bundles import Bundles
 from flockopt.bundles.exact.exact import OPTIMAL_GAP, solve_exact
-from flockopt.scene import Bounds, Drone, Task
 from flockopt.travel import Travel
-from flockopt.travel.travel import straight_travel
 
 __all__ = ["main"]
 
@@ -39,52 +37,9 @@ COLUMNS = ("scene", "drones", "tasks", "method", "seconds", "cost", "bound", "bo
 BOUND_COLUMNS = ("scene", "drones", "tasks", "bound_kind", "seconds", "bound", "reference", "reference_kind", "ratio")
 METHODS = "search-1ms,search-5ms,search-20ms,search-100ms,ortools-0.1s,ortools-1s,exact,lp,greedy"
 BOUNDS = {"fast": "rooted-forest", "tight": "held-karp-forest", "exact": "ng-route"}
-SIZE_M = (20.0, 20.0, 5.0)
 
 #: An allocation is at the optimum if it is longer by no more than this share.
 AT_OPTIMUM = 1e-6
-
-
-@dataclass(frozen=True)
-class Case:
-    """One scene: how many drones and tasks, with obstacles or not, and the seed."""
-
-    drones: int
-    tasks: int
-    seed: int
-    has_obstacles: bool
-
-    @property
-    def name(self) -> str:
-        """What the rows call it."""
-        return f"{'forest' if self.has_obstacles else 'open'}-{self.drones}x{self.tasks}-{self.seed}"
-
-    @property
-    def group(self) -> str:
-        """What the summary calls it and its like."""
-        return f"{'forest' if self.has_obstacles else 'open'} {self.drones}x{self.tasks}"
-
-    def make(self) -> tuple[Scene, Travel]:
-        """The scene and its travel."""
-        if self.has_obstacles:
-            scene = generate("forest", drones=self.drones, tasks=self.tasks, seed=self.seed)
-            return scene, compute_travel(scene)
-        scene = uniform_scene(self.drones, self.tasks, self.seed)
-        return scene, straight_travel(scene)
-
-
-def uniform_scene(drones: int, tasks: int, seed: int) -> Scene:
-    """Starts and tasks uniform in the space; each drone can carry one task more than its share."""
-    rng = np.random.default_rng(seed)
-    starts, places = (rng.uniform(0.0, 1.0, (count, 3)) * SIZE_M for count in (drones, tasks))
-    capacity = math.ceil(tasks / drones) + 1
-    fleet = [Drone(f"d{i}", tuple(start.tolist()), capacity, 0.12, 2.0, 4.0, 30.0) for i, start in enumerate(starts)]
-    return Scene(
-        f"uniform-{seed}",
-        Bounds((0.0, 0.0, 0.0), SIZE_M),
-        tuple(fleet),
-        tuple(Task(f"t{j}", tuple(p.tolist())) for j, p in enumerate(places)),
-    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -92,17 +47,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     methods = {name: allocator(name) for name in options.methods.split(",")}
     cases = list(_cases(options))
-    rows = Rows(options.out / "optimality_gap.csv", COLUMNS)
-    bounds = Rows(options.out / "bounds.csv", BOUND_COLUMNS)
-    groups: dict[str, list[Case]] = {}
+    rows = CsvRows(options.out / "optimality_gap.csv", COLUMNS)
+    bounds = CsvRows(options.out / "bounds.csv", BOUND_COLUMNS)
+    groups: dict[str, list[AllocationCase]] = {}
     for number, case in enumerate(cases, start=1):
         scene, travel = case.make()
         if not groups:
             _warm_up(methods, scene, travel)
         groups.setdefault(case.group, []).append(case)
         _judge(case, scene, travel, methods, options.reference_s, rows, bounds)
-        print(f"\r{number}/{len(cases)} {case.name:<24}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        tell(f"{number}/{len(cases)} {case.name:<24}")
+    tell("\n")
     rows.close()
     bounds.close()
     write_summary(options.out, _summary(groups, rows.records, bounds.records))
@@ -111,26 +66,24 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.optimality_gap", description=(__doc__ or "").split("\n")[0])
+    parser = benchmark_parser("optimality_gap", __doc__)
     parser.add_argument("--scenes", type=int, default=100, help="seeds for each size (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
     parser.add_argument("--sizes", default="10x20,10x40,20x100", help="drones x tasks, by commas")
     parser.add_argument("--methods", default=METHODS, help=f"by commas; also pyvrp-1s, module:function (default {METHODS})")
     parser.add_argument("--obstacles", choices=("with", "without", "both"), default="both", help="which scenes (default both)")
     parser.add_argument("--reference-s", type=float, default=60.0, help="time to prove each optimum, seconds (default 60)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser
 
 
-def _cases(options: argparse.Namespace) -> Iterator[Case]:
+def _cases(options: argparse.Namespace) -> Iterator[AllocationCase]:
     kinds = {"with": (True,), "without": (False,), "both": (False, True)}[options.obstacles]
     for has_obstacles in kinds:
         for size in options.sizes.split(","):
             drones, tasks = (int(part) for part in size.split("x"))
-            yield from (Case(drones, tasks, options.seed + offset, has_obstacles) for offset in range(options.scenes))
+            yield from (AllocationCase(drones, tasks, options.seed + offset, has_obstacles) for offset in range(options.scenes))
 
 
-def _warm_up(methods: dict[str, Allocator], scene: Scene, travel: Travel) -> None:
+def _warm_up(methods: dict[str, AllocationMethod], scene: Scene, travel: Travel) -> None:
     """Everything once, so that nothing is loaded or compiled while the clock runs; faults come up again later."""
     for method in methods.values():
         _timed(method, scene, travel, 0)
@@ -138,7 +91,7 @@ def _warm_up(methods: dict[str, Allocator], scene: Scene, travel: Travel) -> Non
         lower_bound(scene, travel, bound=kind)
 
 
-def _timed(method: Allocator, scene: Scene, travel: Travel, seed: int) -> tuple[float, Bundles | None]:
+def _timed(method: AllocationMethod, scene: Scene, travel: Travel, seed: int) -> tuple[float, Bundles | None]:
     """Seconds, and the bundles if they serve every task; None for a method that fails on the scene."""
     began = time.perf_counter()
     try:
@@ -155,7 +108,13 @@ def _timed(method: Allocator, scene: Scene, travel: Travel, seed: int) -> tuple[
 
 
 def _judge(
-    case: Case, scene: Scene, travel: Travel, methods: dict[str, Allocator], reference_s: float, rows: Rows, bounds: Rows
+    case: AllocationCase,
+    scene: Scene,
+    travel: Travel,
+    methods: dict[str, AllocationMethod],
+    reference_s: float,
+    rows: CsvRows,
+    bounds: CsvRows,
 ) -> None:
     """All methods and all bounds on one scene."""
     results = {name: _timed(method, scene, travel, case.seed) for name, method in methods.items()}
@@ -168,7 +127,7 @@ def _judge(
     for name, (seconds, bundles) in results.items():
         cost = math.nan if bundles is None else travel.total(bundles.routes)
         gap = max(cost / reference.proven - 1.0, 0.0) if reference.proven else 0.0
-        told = {"cost": "", "gap": ""} if bundles is None else {"cost": cost, "gap": gap if gap > OPTIMAL_GAP else 0.0}
+        told: Record = {"cost": "", "gap": ""} if bundles is None else {"cost": cost, "gap": gap if gap > OPTIMAL_GAP else 0.0}
         optimal = is_proven and bundles is not None and gap <= AT_OPTIMUM
         rows.add(
             {
@@ -190,16 +149,16 @@ def _judge(
         bounds.add({**about, "bound_kind": bound_kind, "seconds": seconds, **told})
 
 
-def _of(group: list[Case], records: list[dict[str, object]]) -> list[dict[str, object]]:
+def _of(group: list[AllocationCase], records: list[Record]) -> list[Record]:
     names = {case.name for case in group}
     return [record for record in records if record["scene"] in names]
 
 
-def _numbers(records: list[dict[str, object]], key: str) -> list[float]:
-    return [float(record[key]) for record in records if record[key] != ""]  # type: ignore[arg-type]
+def _numbers(records: list[Record], key: str) -> list[float]:
+    return [float(record[key]) for record in records if record[key] != ""]
 
 
-def _summary(groups: dict[str, list[Case]], rows: list[dict[str, object]], bounds: list[dict[str, object]]) -> str:
+def _summary(groups: dict[str, list[AllocationCase]], rows: list[Record], bounds: list[Record]) -> str:
     gaps, ratios = [], []
     for name, group in groups.items():
         own = _of(group, rows)
@@ -238,7 +197,7 @@ def _summary(groups: dict[str, list[Case]], rows: list[dict[str, object]], bound
     )
 
 
-def _plot(groups: dict[str, list[Case]], rows: list[dict[str, object]], path: Path) -> None:
+def _plot(groups: dict[str, list[AllocationCase]], rows: list[Record], path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.2 * len(groups), 3.8), layout="constrained")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from flockopt import Scene
 from flockopt.bundles import Bundles
-from flockopt.errors import MissingExtra
+from flockopt.errors import require
 from flockopt.travel import Travel
 
 __all__ = ["solve_pyvrp"]
@@ -23,12 +24,8 @@ def solve_pyvrp(scene: Scene, travel: Travel, time_limit_s: float, seed: int) ->
     Raises:
         MissingExtra: If pyvrp is not installed.
     """
-    try:
-        from pyvrp import Model
-        from pyvrp.stop import MaxRuntime
-    except ImportError:
-        raise MissingExtra("pyvrp", "peers") from None
-    model = Model()
+    pyvrp = require("pyvrp", extra="peers")
+    model = pyvrp.Model()
     # Where a place stands does not matter: PyVRP takes distances from the edges alone, and a missing one for no way.
     places = [model.add_location(0, 0) for _ in range(2 * scene.num_drones + scene.num_tasks)]
     depots = [model.add_depot(place) for place in places[: 2 * scene.num_drones]]
@@ -36,7 +33,7 @@ def solve_pyvrp(scene: Scene, travel: Travel, time_limit_s: float, seed: int) ->
         model.add_client(place, delivery=task.demand)
     profiles = [model.add_profile() for _ in travel.task_task]
     for i, drone in enumerate(scene.drones):
-        limit = {} if drone.max_distance is None else {"max_distance": int(drone.max_distance * UNITS_A_METRE)}
+        limit: dict[str, Any] = {} if drone.max_distance is None else {"max_distance": int(drone.max_distance * UNITS_A_METRE)}
         profile, start, end = profiles[travel.drone_class[i]], depots[2 * i], depots[2 * i + 1]
         model.add_vehicle_type(1, drone.capacity, start_depot=start, end_depot=end, profile=profile, **limit)
     for kind, profile in enumerate(profiles):
@@ -44,7 +41,7 @@ def solve_pyvrp(scene: Scene, travel: Travel, time_limit_s: float, seed: int) ->
             if not np.isfinite(length):
                 continue
             model.add_edge(places[origin], places[target], distance=int(np.rint(length * UNITS_A_METRE)), profile=profile)
-    result = model.solve(stop=MaxRuntime(time_limit_s), seed=seed, display=False)
+    result = model.solve(stop=pyvrp.stop.MaxRuntime(time_limit_s), seed=seed, display=False)
     routes: list[tuple[int, ...]] = [()] * scene.num_drones
     for route in result.best.routes():
         routes[route.vehicle_type()] = tuple(visit.idx for visit in route.schedule() if visit.is_client())

@@ -14,36 +14,33 @@ each family is planned once before, as a warm-up.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import torch
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
 from flockopt import FlockError, Scene, generate, plan
 from flockopt.bundles.bundles import bundle_compactness, insertion_cost, tasks_per_drone_std
-from flockopt.bundles.refine import refine_bundles
-from flockopt.planning.pipeline import Plan
-from flockopt.planning.planners import ANY_ANGLE, PLANNERS, Proposal, Request, classical
+from flockopt.certificate import Plan
+from flockopt.planning.planners import ANY_ANGLE, PLANNERS, Planner, Request
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
 from learned.paths.ways import find_ways
 from learned.student.planner import (
+    HYBRID,
+    LEARNED,
+    LEARNED_PAPER,
     PAPER_WEIGHTS,
     WEIGHTS,
     drawn_plan,
-    hybrid,
-    learned,
-    learned_paper,
     searched_plan,
     shipped_student,
 )
-from learned.teacher import planner as teacher_planners
+from learned.teacher.planner import MAGNNET, MAGNNET_BUNDLING, TEACHER
 from sim.mission.execute import execute
 from sim.trials.trial import TRACKING_MARGIN_M
 
@@ -52,51 +49,37 @@ __all__ = ["main"]
 #: Added to the seeds, so that no scene is one that something was trained on.
 UNSEEN = 70_000_000
 
-#: Seconds the exact pipeline may take for its bundles.
+#: Seconds the exact pipeline may take.
 EXACT_S = 20.0
 
 #: Metres by which the hybrid may exceed the classical cost: what adding up in another order loses.
 ROUNDING_M = 1e-6
 
 
-def exact(request: Request) -> Proposal:
-    """Proven optima, as far as the time goes."""
-    settings = {"travel": request.travel, "seed": request.seed, "time_limit_s": EXACT_S}
-    return Proposal(refine_bundles(request.scene, method="exact", **settings))  # type: ignore[arg-type]
-
-
 @dataclass(frozen=True)
 class Pipeline:
-    """A planner, the paths it flies, and whether its time is limited."""
+    """A planner, the paths it flies, and whether its time is limited: as the command line says, or to so many seconds."""
 
-    planner: str
+    planner: Planner
     paths: str = ANY_ANGLE
     limited: bool = False
+    most_s: float | None = None
 
 
-#: The planners by the names they are registered under.
-OURS = {
-    "magnnet": teacher_planners.magnnet,
-    "magnnet-bundling": teacher_planners.magnnet_bundling,
-    "teacher": teacher_planners.teacher,
-    "learned-paper": learned_paper,
-    "learned": learned,
-    "hybrid": hybrid,
-    "classical": classical,
-    "exact": exact,
-}
+CLASSICAL = PLANNERS["classical"]
+
 PIPELINES = {
-    "magnnet, voxel6": Pipeline("magnnet", "voxel6"),
-    "magnnet + bundling, voxel6": Pipeline("magnnet-bundling", "voxel6"),
-    "magnnet + bundling": Pipeline("magnnet-bundling"),
-    "teacher": Pipeline("teacher"),
-    "paper's student": Pipeline("learned-paper"),
-    "learned": Pipeline("learned"),
-    "hybrid": Pipeline("hybrid"),
-    "classical": Pipeline("classical"),
-    "exact": Pipeline("exact"),
-    "hybrid, limited": Pipeline("hybrid", limited=True),
-    "classical, limited": Pipeline("classical", limited=True),
+    "magnnet, voxel6": Pipeline(MAGNNET, "voxel6"),
+    "magnnet + bundling, voxel6": Pipeline(MAGNNET_BUNDLING, "voxel6"),
+    "magnnet + bundling": Pipeline(MAGNNET_BUNDLING),
+    "teacher": Pipeline(TEACHER),
+    "paper's student": Pipeline(LEARNED_PAPER),
+    "learned": Pipeline(LEARNED),
+    "hybrid": Pipeline(HYBRID),
+    "classical": Pipeline(CLASSICAL),
+    "exact": Pipeline(PLANNERS["exact"], most_s=EXACT_S),
+    "hybrid, limited": Pipeline(HYBRID, limited=True),
+    "classical, limited": Pipeline(CLASSICAL, limited=True),
 }
 
 MEASURES = {
@@ -118,20 +101,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if the hybrid never costs more than the classical planner."""
     options = _parser().parse_args(argv)
     torch.set_num_threads(1)
-    PLANNERS.update({name: planner for name, planner in OURS.items() if name not in PLANNERS})
     left_out = _left_out()
-    rows = Rows(options.out / "pipeline.csv", COLUMNS)
+    rows = CsvRows(options.out / "pipeline.csv", COLUMNS)
     chosen = {name: pipeline for name, pipeline in PIPELINES.items() if name not in left_out}
     for number in range(options.scenes):
         family, seed = options.families[number % len(options.families)], options.seed + number
         scene = generate(family, drones=options.drones, tasks=options.tasks, seed=UNSEEN + seed)
         for name, pipeline in chosen.items():
             _warm_up(pipeline, family, options.drones, options.tasks)
-            limit_s = options.time_limit if pipeline.limited else None
+            limit_s = options.time_limit if pipeline.limited else pipeline.most_s
             row = {"family": family, "scene": scene.sha256[:12], "seed": seed, "pipeline": name}
             rows.add(row | _measured(scene, pipeline, seed, limit_s))
-        print(f"\r{number + 1}/{options.scenes}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        tell(f"{number + 1}/{options.scenes}")
+    tell("\n")
     rows.close()
     worse = {name: _worse(rows.records, name) for name in ("", ", limited")}
     write_summary(options.out, _summary(rows.records, left_out, worse))
@@ -139,14 +121,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.pipeline", description=(__doc__ or "").split("\n")[0])
+    parser = benchmark_parser("pipeline", __doc__)
     parser.add_argument("--scenes", type=int, default=100, help="dealt to the families in turn (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), help="(default all)")
     parser.add_argument("--drones", type=int, default=10, help="in each scene (default 10)")
     parser.add_argument("--tasks", type=int, default=20, help="in each scene (default 20)")
     parser.add_argument("--time-limit", type=float, default=0.5, help="seconds for limited plans (default 0.5)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser
 
 
@@ -166,11 +146,13 @@ def _warm_up(pipeline: Pipeline, family: str, drones: int, tasks: int) -> None:
     plan(generate(family, drones=drones, tasks=tasks, seed=0), planner=pipeline.planner, paths=pipeline.paths, time_limit_s=1.0)
 
 
-def _measured(scene: Scene, pipeline: Pipeline, seed: int, time_limit_s: float | None) -> dict[str, object]:
+def _measured(scene: Scene, pipeline: Pipeline, seed: int, time_limit_s: float | None) -> Record:
     """The plan of one pipeline, and its flight, in the paper's measures."""
-    settings = {"paths": pipeline.paths, "seed": seed, "time_limit_s": time_limit_s, "tracking_margin_m": TRACKING_MARGIN_M}
     try:
-        result = plan(scene, planner=pipeline.planner, **settings)  # type: ignore[arg-type]
+        result = plan(
+            scene, planner=pipeline.planner, paths=pipeline.paths, seed=seed, time_limit_s=time_limit_s,
+            tracking_margin_m=TRACKING_MARGIN_M,
+        )  # fmt: skip
     except FlockError as fault:
         return {"status": "error", "failed": str(fault), **dict.fromkeys((*MEASURES, *SECONDS), float("nan"))}
     travel = compute_travel(scene)
@@ -202,19 +184,19 @@ def _flown(scene: Scene, result: Plan, travel: Travel) -> dict[str, float]:
     if not result.flights:
         return dict.fromkeys(("completion", "contacts", "room", "error"), float("nan"))
     flight = execute(scene, result, force=True, travel=travel)
-    room_m = _number(flight.outcome.min_clearance) - scene.clearance
+    room_m = _number(flight.measures.min_clearance) - scene.clearance
     return {
-        "completion": flight.outcome.completion, "contacts": float(len(flight.touches)), "room": 1e3 * room_m,
-        "error": 1e3 * flight.outcome.mean_tracking_error,
+        "completion": flight.measures.completion, "contacts": float(len(flight.touches)), "room": 1e3 * room_m,
+        "error": 1e3 * flight.measures.mean_tracking_error,
     }  # fmt: skip
 
 
 def _clear_before(scene: Scene, pipeline: Pipeline, seed: int) -> float:
     """Whether the student's ways need no mending: 1 or 0; NaN where no student draws."""
     drawers = {
-        "learned-paper": (drawn_plan, PAPER_WEIGHTS),
-        "learned": (drawn_plan, WEIGHTS),
-        "hybrid": (searched_plan, WEIGHTS),
+        LEARNED_PAPER: (drawn_plan, PAPER_WEIGHTS),
+        LEARNED: (drawn_plan, WEIGHTS),
+        HYBRID: (searched_plan, WEIGHTS),
     }
     if pipeline.planner not in drawers:
         return float("nan")
@@ -232,32 +214,33 @@ def _number(value: float | None) -> float:
     return float("nan") if value is None else value
 
 
-def _worse(records: list[dict[str, object]], suffix: str) -> list[str]:
+def _worse(records: list[Record], suffix: str) -> list[str]:
     """Scenes in which the hybrid travels farther than the classical planner, or serves less."""
     by_case = {(row["pipeline"], row["scene"]): row for row in records}
     worse = []
     for (name, scene), row in by_case.items():
         if name == f"hybrid{suffix}":
             other = by_case[f"classical{suffix}", scene]
-            is_as_good = float(row["travel"]) <= float(other["travel"]) + ROUNDING_M  # type: ignore[arg-type]
-            if not (is_as_good and row["coverage"] >= other["coverage"]):  # type: ignore[operator]
+            is_as_good = float(row["travel"]) <= float(other["travel"]) + ROUNDING_M
+            if not (is_as_good and row["coverage"] >= other["coverage"]):
                 worse.append(str(scene))
     return worse
 
 
-def _summary(records: list[dict[str, object]], left_out: dict[str, str], worse: dict[str, list[str]]) -> str:
-    table, costs = [], {}
+def _summary(records: list[Record], left_out: dict[str, str], worse: dict[str, list[str]]) -> str:
+    table: list[list[object]] = []
+    costs: dict[str, float] = {}
     for name in dict.fromkeys(str(row["pipeline"]) for row in records):
         rows = [row for row in records if row["pipeline"] == name]
         cells = {key: _cell(key, [row[key] for row in rows]) for key in MEASURES}
         costs[name] = cells["route_cost"]
-        times = [1e3 * float(np.nanmedian([row[key] for row in rows])) for key in SECONDS]  # type: ignore[arg-type]
-        _, late = spread([1e3 * float(row["total_s"]) for row in rows])  # type: ignore[arg-type]
+        times = [1e3 * float(np.nanmedian([row[key] for row in rows])) for key in SECONDS]
+        _, late = spread([1e3 * float(row["total_s"]) for row in rows])
         table.append([name, len(rows), *cells.values(), *times, late])
     columns = ["pipeline", "scenes", *MEASURES.values(), "allocation, generation ms", "paths ms", "plan ms", "p95 ms"]
     lines = [header("Pipelines", "benchmarks.pipeline"), markdown_table(columns, table)]
-    baseline = costs.get("magnnet + bundling, voxel6")
-    for name, cost in costs.items() if baseline is not None else ():
+    baseline = costs.get("magnnet + bundling, voxel6", float("nan"))
+    for name, cost in costs.items() if np.isfinite(baseline) else ():
         lines += [f"- {name}: route cost {100 * (1 - cost / baseline):.1f} % under MAGNNET + bundling on voxels"]
     lines += [f"- left out: {name} ({words})" for name, words in left_out.items()]
     for suffix, scenes in worse.items():
@@ -267,9 +250,9 @@ def _summary(records: list[dict[str, object]], left_out: dict[str, str], worse: 
     return "\n".join(lines) + "\n"
 
 
-def _cell(key: str, values: Sequence[object]) -> float:
+def _cell(key: str, values: Sequence[float]) -> float:
     """A measure over scenes: shares in per cent; NaN where nothing has it."""
-    known = [float(value) for value in values if np.isfinite(float(value))]  # type: ignore[arg-type]
+    known = [float(value) for value in values if np.isfinite(float(value))]
     if not known:
         return float("nan")
     whole = min(known) if key in LEAST else sum(known) if key in SUMMED else float(np.mean(known))

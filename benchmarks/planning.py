@@ -10,7 +10,6 @@ and is not counted.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -18,7 +17,17 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from benchmarks.report import Rows, header, markdown_table, peak_memory_gb, spread, write_summary
+from benchmarks.report import (
+    CsvRows,
+    Record,
+    benchmark_parser,
+    header,
+    markdown_table,
+    peak_memory_gb,
+    spread,
+    tell,
+    write_summary,
+)
 from flockopt import FlockError, Scene, generate, plan
 from flockopt.scene.families.layouts import FAMILIES
 
@@ -37,7 +46,7 @@ CITY_REPEATS = 5
 
 
 @dataclass(frozen=True)
-class Case:
+class PlanningCase:
     """One scene to plan: a family with a size and a seed, or a city block."""
 
     family: str
@@ -56,12 +65,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every scene is certified."""
     options = _parser().parse_args(argv)
     cases = list(_cases(options))
-    rows = Rows(options.out / "planning.csv", COLUMNS)
+    rows = CsvRows(options.out / "planning.csv", COLUMNS)
     work = Parallel(n_jobs=options.jobs, return_as="generator")(delayed(run)(case, options.planner) for case in cases)
     for number, record in enumerate(work, start=1):
         rows.add(record)
-        print(f"\r{number}/{len(cases)} {record['family']:<10} {record['status']:<12}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        tell(f"{number}/{len(cases)} {record['family']:<10} {record['status']:<12}")
+    tell("\n")
     rows.close()
     write_summary(options.out, _summary(rows.records))
     _plot(rows.records, options.out / "planning.png")
@@ -69,10 +78,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.planning", description=__doc__.split("\n")[0])
+    parser = benchmark_parser("planning", __doc__)
     parser.add_argument("--scenes", type=int, default=20, help="seeds for each family and size (default 20)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     parser.add_argument(
         "--families", nargs="+", default=[*FAMILIES, *CITIES], choices=[*FAMILIES, *CITIES], help="what to plan"
     )
@@ -82,14 +89,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _cases(options: argparse.Namespace) -> Iterator[Case]:
+def _cases(options: argparse.Namespace) -> Iterator[PlanningCase]:
     for family in options.families:
         if family in CITIES:
-            yield from (Case(family, 0, 0, options.seed + repeat) for repeat in range(min(CITY_REPEATS, options.scenes)))
+            yield from (
+                PlanningCase(family, 0, 0, options.seed + repeat) for repeat in range(min(CITY_REPEATS, options.scenes))
+            )
             continue
         for size in options.sizes:
             drones, tasks = (int(part) for part in size.split("x"))
-            yield from (Case(family, drones, tasks, options.seed + offset) for offset in range(options.scenes))
+            yield from (PlanningCase(family, drones, tasks, options.seed + offset) for offset in range(options.scenes))
 
 
 @cache
@@ -98,11 +107,11 @@ def warm_up(planner: str) -> None:
     plan(generate("rooms", drones=3, tasks=6, seed=0), planner=planner)
 
 
-def run(case: Case, planner: str) -> dict[str, object]:
+def run(case: PlanningCase, planner: str) -> Record:
     """Plan one scene and describe the outcome as a row."""
     warm_up(planner)
     scene = case.scene()
-    record: dict[str, object] = {
+    record: Record = {
         "scene": scene.sha256[:12], "family": case.family, "seed": case.seed, "drones": scene.num_drones,
         "tasks": scene.num_tasks, "obstacles": len(scene.obstacles), "planner": planner,
     }  # fmt: skip
@@ -121,14 +130,14 @@ def run(case: Case, planner: str) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _groups(records: list[dict[str, object]]) -> dict[tuple[object, str], list[dict[str, object]]]:
-    groups: dict[tuple[object, str], list[dict[str, object]]] = {}
+def _groups(records: list[Record]) -> dict[tuple[object, str], list[Record]]:
+    groups: dict[tuple[object, str], list[Record]] = {}
     for record in records:
         groups.setdefault((record["family"], f"{record['drones']}x{record['tasks']}"), []).append(record)
     return groups
 
 
-def _summary(records: list[dict[str, object]]) -> str:
+def _summary(records: list[Record]) -> str:
     table = []
     for (family, size), group in _groups(records).items():
         done = [record for record in group if record["certified"]]
@@ -152,12 +161,12 @@ def _summary(records: list[dict[str, object]]) -> str:
     return "\n".join(text)
 
 
-def _mean(records: list[dict[str, object]], key: str) -> float:
+def _mean(records: list[Record], key: str) -> float:
     values = [float(record[key]) for record in records if record[key] is not None]
     return sum(values) / len(values) if values else float("nan")
 
 
-def _plot(records: list[dict[str, object]], path: Path) -> None:
+def _plot(records: list[Record], path: Path) -> None:
     from matplotlib.figure import Figure
 
     groups = {key: group for key, group in _groups(records).items() if any(record["certified"] for record in group)}

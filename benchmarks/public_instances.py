@@ -10,7 +10,6 @@ in the unit square. A depot's vehicles become enough drones. Writes ``public_ins
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +17,9 @@ from time import perf_counter
 
 import numpy as np
 
-from benchmarks.report import Rows, header, markdown_table, write_summary
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, tell, write_summary
 from flockopt import Bounds, Drone, Scene, SettingsError, Task, refine_bundles
+from flockopt.cli.status import run_command
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.travel import straight_travel
 
@@ -76,9 +76,9 @@ class Instances:
         places = np.column_stack([self.locations[index].astype(np.float64), np.zeros(self.locations.shape[1])])
         demands = self.demands[index].astype(int)
         fleet = DRONES_PER_NEED * -(-int(demands.sum()) // self.capacity)
-        limits = {"radius": 1e-3, "max_speed": 1.0, "max_acceleration": 1.0, "max_jerk": 1.0}
+        radius, speed, acceleration, jerk = 1e-3, 1.0, 1.0, 1.0
         drones = [
-            Drone(f"depot-{depot}-{k}", tuple(places[depot]), self.capacity, **limits)
+            Drone(f"depot-{depot}-{k}", tuple(places[depot]), self.capacity, radius, speed, acceleration, jerk)
             for depot in range(NUM_DEPOTS)
             for k in range(fleet)
         ]
@@ -89,18 +89,18 @@ class Instances:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every instance is served whole."""
     options = _parser().parse_args(argv)
-    try:
-        instances = Instances.load(options.data)
-    except SettingsError as fault:
-        print(fault, file=sys.stderr)
-        return 2
-    rows = Rows(options.out / "public_instances.csv", COLUMNS)
+    return run_command("benchmarks.public_instances", lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    instances = Instances.load(options.data)
+    rows = CsvRows(options.out / "public_instances.csv", COLUMNS)
     count = min(options.instances or len(instances), len(instances))
     _solve(instances, 0, options)
     for index in range(count):
         rows.add(_solve(instances, index, options))
-        print(f"\r{index + 1}/{count}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        tell(f"{index + 1}/{count}")
+    tell("\n")
     rows.close()
     means = {key: float(np.mean([record[key] for record in rows.records])) for key in COLUMNS[2:]}
     table = [
@@ -119,17 +119,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.public_instances", description=__doc__.split("\n")[0])
+    parser = benchmark_parser("public_instances", __doc__)
     parser.add_argument("--data", type=Path, required=True, help="an .npz file, such as benchmarks/data/mdovrp-val-50.npz")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     parser.add_argument("--method", default="search", help="of refine_bundles (default search)")
     parser.add_argument("--seconds", type=float, default=1.0, help="time limit for each instance (default 1)")
     parser.add_argument("--instances", type=int, default=None, help="how many, from the first (default all)")
-    parser.add_argument("--seed", type=int, default=0, help="of the search (default 0)")
     return parser
 
 
-def _solve(instances: Instances, index: int, options: argparse.Namespace) -> dict[str, object]:
+def _solve(instances: Instances, index: int, options: argparse.Namespace) -> Record:
     """Solve one instance; its cost is recomputed from the distances and the routes, served tasks counted."""
     scene = instances.scene(index)
     travel = straight_travel(scene)

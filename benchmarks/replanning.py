@@ -12,15 +12,14 @@ same situation with nothing to be kept; `churn` is the share of open tasks that 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
-from flockopt import Changes, Scene, compute_travel, generate, plan, refine_bundles, replan
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
+from flockopt import Changes, Scene, Task, compute_travel, generate, plan, refine_bundles, replan
 from flockopt.certificate import Plan
 from flockopt.planning.replan import Replanned
 from flockopt.scene.families.layouts import FAMILIES
@@ -44,14 +43,14 @@ SCRATCH_ITERATIONS = 40_000
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every event ends in a certified plan."""
     options = _parser().parse_args(argv)
-    rows = Rows(options.out / "replanning.csv", COLUMNS)
+    rows = CsvRows(options.out / "replanning.csv", COLUMNS)
     list(_events(options, options.families[0], 1))  # a warm-up that does not count
     share = -(-options.events // len(options.families))
     for family in options.families:
         for record in _events(options, family, min(share, options.events)):
             rows.add(record)
-            print(f"\r{len(rows.records)}/{share * len(options.families)} {family:<10}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+            tell(f"{len(rows.records)}/{share * len(options.families)} {family:<10}")
+    tell("\n")
     rows.close()
     write_summary(options.out, _summary(rows.records))
     _plot(rows.records, options.out / "replanning.png")
@@ -59,21 +58,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.replanning", description=__doc__.split("\n")[0])
+    parser = benchmark_parser("replanning", __doc__)
     parser.add_argument("--events", type=int, default=1000, help="events in all (default 1000)")
     parser.add_argument("--drones", type=int, default=10, help="drones a scene (default 10)")
     parser.add_argument("--tasks", type=int, default=20, help="tasks a scene (default 20)")
-    parser.add_argument("--seed", type=int, default=0, help="the first scene's seed (default 0)")
     parser.add_argument(
         "--tracking-margin", type=float, default=0.0, metavar="M", help="room for tracking errors, metres (default 0)"
     )
     parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=list(FAMILIES), help="scenes (default all)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser
 
 
-def _events(options: argparse.Namespace, family: str, count: int) -> Iterator[dict[str, object]]:
-    """Rows of ``count`` events that strike flights through scenes of one family."""
+def _events(options: argparse.Namespace, family: str, count: int) -> Iterator[Record]:
+    """CsvRows of ``count`` events that strike flights through scenes of one family."""
     seed, margin_m = options.seed, options.tracking_margin
     while count > 0:
         scene = generate(family, drones=options.drones, tasks=options.tasks, seed=seed)
@@ -95,7 +92,9 @@ def _events(options: argparse.Namespace, family: str, count: int) -> Iterator[di
 
 
 def _changes(scene: Scene, kind: str, name: str, rng: np.random.Generator) -> Changes:
-    added, removed, lost = (), (), ()
+    added: tuple[Task, ...] = ()
+    removed: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
     if kind in ("added", "mixed"):
         task = random_task(scene, f"new-{name}", rng)
         added = () if task is None else (task,)
@@ -106,7 +105,7 @@ def _changes(scene: Scene, kind: str, name: str, rng: np.random.Generator) -> Ch
     return Changes(added, removed, lost)
 
 
-def _measures(old: Plan, answer: Replanned) -> dict[str, object]:
+def _measures(old: Plan, answer: Replanned) -> Record:
     """What an answer changes and what it costs."""
     owner = {task: drone for drone, route in old.routes.items() for task in route}
     now = {task: drone for drone, route in answer.plan.routes.items() for task in route}
@@ -122,7 +121,7 @@ def _measures(old: Plan, answer: Replanned) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _summary(records: list[dict[str, object]]) -> str:
+def _summary(records: list[Record]) -> str:
     table = []
     for family in dict.fromkeys(record["family"] for record in records):
         group = [record for record in records if record["family"] == family]
@@ -138,7 +137,7 @@ def _summary(records: list[dict[str, object]]) -> str:
     return header("Replanning", "benchmarks.replanning") + "\n" + note + markdown_table(columns, table)
 
 
-def _plot(records: list[dict[str, object]], path: Path) -> None:
+def _plot(records: list[Record], path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4), layout="constrained")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import os
 import platform
@@ -10,13 +11,30 @@ import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
-__all__ = ["Rows", "header", "markdown_table", "peak_memory_gb", "spread", "write_summary"]
+from flockopt.records.arrays import FloatArray
+
+__all__ = [
+    "CsvRows",
+    "Record",
+    "benchmark_parser",
+    "header",
+    "markdown_table",
+    "peak_memory_gb",
+    "spread",
+    "tell",
+    "write_summary",
+]
 
 
-class Rows:
+#: A row of a table, by column.
+Record: TypeAlias = dict[str, Any]
+
+
+class CsvRows:
     """A CSV file that holds every row as soon as it is known.
 
     Args:
@@ -26,12 +44,12 @@ class Rows:
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        self.records: list[dict[str, object]] = []
+        self.records: list[Record] = []
         self._file = path.open("w", newline="", encoding="utf-8")
         self._writer = csv.DictWriter(self._file, fieldnames=list(columns), lineterminator="\n")
         self._writer.writeheader()
 
-    def add(self, record: dict[str, object]) -> None:
+    def add(self, record: Record) -> None:
         """Write one row through to the disk."""
         self.records.append(record)
         self._writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in record.items()})
@@ -40,6 +58,19 @@ class Rows:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def benchmark_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
+    """A command line with what every benchmark is told: its first seed, and where results go."""
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=(doc or "").split("\n")[0])
+    parser.add_argument("--seed", type=int, default=0, help="the first one; the others follow (default 0)")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
+    return parser
+
+
+def tell(words: str) -> None:
+    """How far a benchmark is, on one line of stderr that the next words replace; a newline ends it."""
+    print(words if words == "\n" else f"\r{words}", end="", file=sys.stderr, flush=True)
 
 
 def header(title: str, module: str) -> str:
@@ -60,7 +91,7 @@ def markdown_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> 
     return "\n".join(lines) + "\n"
 
 
-def spread(values: Sequence[float]) -> tuple[float, float]:
+def spread(values: Sequence[float] | FloatArray) -> tuple[float, float]:
     """Median and 95th percentile; NaN for no values."""
     if not len(values):
         return float("nan"), float("nan")

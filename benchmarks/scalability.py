@@ -23,64 +23,32 @@ scenes of each size are a warm-up, which compiles all there is to compile, and n
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cache, partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from time import perf_counter, process_time
-from typing import TypeAlias
 
 import numpy as np
 import torch
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
+from benchmarks.way_finders import NAMES, UNSEEN, Clock, WayFinder, WaysFound, way_finders
 from flockopt import Scene, generate, refine_bundles
-from flockopt.bundles import Bundles
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.bundles.exact.exact import solve_exact
-from flockopt.certificate.judge import certify
-from flockopt.errors import MissingExtra
-from flockopt.flights.apart.deconflict import deconflict
 from flockopt.flights.decode import decode
-from flockopt.flights.waypoints import waypoints_from_samples
-from flockopt.planning.finish import draft_plan, plan_cost
-from flockopt.planning.planners import Request, classical
+from flockopt.planning.finish import GivenFlights, finish
 from flockopt.records.arrays import FloatArray
+from flockopt.records.status import Status
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
-from flockopt.travel.travel import straight_travel
-from learned.paths.rollout import route_legs
-from learned.paths.voxels import VoxelSettings, voxel_oracle
-from learned.student.backends.choice import network
-from learned.student.inference import Drawing, Network, decide
-from learned.student.network.model import Student
-from learned.student.network.rows import rows_of
-from learned.student.planner import STEPS, drawn_plans, searched_plan, shipped_student
-from learned.student.pulling import ways_of
-from learned.student.scenes.batch import collate
-from learned.student.scenes.examples import example
-from learned.teacher.planner import magnnet_bundling
 
 __all__ = ["main"]
-
-#: Added to the seeds, so that no scene is one of the demonstrations, whose seeds start at 0.
-UNSEEN = 60_000_000
 
 #: Seconds for the proven optimum of a scene; where they do not suffice, the scene counts for the other columns only.
 EXACT_S = 2.0
 
 #: Scenes of each size that are not counted.
 WARM_UP = 3
-
-#: Scenes that are planned in one pass, and the first seed of those that fill a batch up.
-BATCH, COMPANY = 16, 70_000_000
-
-OPENVINO, BATCHES = "learned, openvino", f"learned, batches of {BATCH}"
-
-NAMES = ("learned", OPENVINO, BATCHES, "hybrid", "classical", "voxel6", "voxel26", "voxel6-greedy")
 
 #: What ratios are taken to.
 VOXEL = ("voxel6", "voxel26", "voxel6-greedy")
@@ -91,177 +59,20 @@ COLUMNS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a pipeline made of a scene.
-
-    Attributes:
-        bundles: Which drone visits what.
-        length: Metres, of the ways.
-        ways_s: CPU seconds to the ways.
-        wall_s: The same on the wall.
-        travel: To decode with; None for pipelines that are not decoded.
-        samples: (N, T, 3) m control points, where the ways come from a student.
-        clear_before: Whether no way had to be mended.
-    """
-
-    bundles: Bundles
-    length: float
-    ways_s: float
-    wall_s: float
-    travel: Travel | None = None
-    samples: FloatArray | None = None
-    clear_before: bool = True
-
-
-class Clock:
-    """Runs from when it is made."""
-
-    def __init__(self) -> None:
-        self._cpu_s, self._wall_s = process_time(), perf_counter()
-
-    def read(self) -> tuple[float, float]:
-        """CPU seconds and seconds on the wall."""
-        return process_time() - self._cpu_s, perf_counter() - self._wall_s
-
-
-def by_learning(student: Network, scene: Scene, seed: int, company: Sequence[Scene] = ()) -> Outcome:
-    """The student without any search for paths, unless a way comes out blocked.
-
-    With company, other scenes that are planned in the same pass, seconds are one scene's share.
-    """
-    clock = Clock()
-    requests = [Request(one, straight_travel(one), None, seed) for one in (scene, *company)]
-    fleets = []
-    for request, (bundles, drawing, _) in zip(requests, drawn_plans(student, requests), strict=True):
-        travel = request.travel
-        if drawing is not None and not drawing.clear.all():
-            travel = compute_travel(request.scene, routes=bundles.routes)
-        fleets.append((_mended(request.scene, bundles, drawing, travel), bundles, travel, drawing))
-    shares = [seconds / len(requests) for seconds in clock.read()]
-    return _drawn_outcome(*fleets[0], *shares)
-
-
-def by_batches(student: Network, family: str, scene: Scene, seed: int) -> Outcome:
-    """`by_learning` of as many scenes at a time as `BATCH`, all of one size."""
-    return by_learning(student, scene, seed, _company(family, scene.num_drones, scene.num_tasks))
-
-
-@cache
-def _company(family: str, drones: int, tasks: int) -> list[Scene]:
-    """The scenes that fill a batch up."""
-    return [generate(family, drones=drones, tasks=tasks, seed=COMPANY + number) for number in range(BATCH - 1)]
-
-
-def by_both(student: Network, scene: Scene, seed: int) -> Outcome:
-    """The hybrid: searches over any-angle travel, and the student's ways."""
-    clock = Clock()
-    travel = compute_travel(scene)
-    bundles, drawing, _ = searched_plan(student, Request(scene, travel, None, seed))
-    ways = _mended(scene, bundles, drawing, travel)
-    return _drawn_outcome(ways, bundles, travel, drawing, *clock.read())
-
-
-def _mended(scene: Scene, bundles: Bundles, drawing: Drawing | None, travel: Travel) -> list[FloatArray]:
-    """The drawn ways, with shortest paths where they are blocked."""
-    if drawing is None:
-        raise RuntimeError(f"{scene.name} has more legs a drone than the student has samples")
-    ways = ways_of(drawing.example, drawing.samples)
-    for drone in np.flatnonzero(~drawing.clear):
-        mended = waypoints_from_samples(scene, travel, int(drone), bundles.routes[drone], drawing.samples[drone])
-        ways[drone] = mended.points
-    return ways
-
-
-def _drawn_outcome(
-    ways: list[FloatArray], bundles: Bundles, travel: Travel, drawing: Drawing, ways_s: float, wall_s: float
-) -> Outcome:
-    return Outcome(bundles, sum(map(_length, ways)), ways_s, wall_s, travel, drawing.samples, bool(drawing.clear.all()))
-
-
-def classically(scene: Scene, seed: int) -> Outcome:
-    """Any-angle travel and search."""
-    clock = Clock()
-    travel = compute_travel(scene)
-    bundles = classical(Request(scene, travel, None, seed)).bundles
-    for drone, route in enumerate(bundles):
-        route_legs(scene, drone, route, travel.path)
-    seconds = clock.read()
-    return Outcome(bundles, travel.total(bundles.routes), *seconds, travel)
-
-
-def on_voxels(paths: str, scene: Scene, seed: int) -> Outcome:
-    """Dijkstra's costs, MAGNNET + bundling, A* legs."""
-    clock = Clock()
-    proposal = magnnet_bundling(Request(scene, straight_travel(scene), None, seed, paths=paths))
-    seconds = clock.read()
-    return Outcome(proposal.bundles, sum(map(_length, np.asarray(proposal.samples))), *seconds)
-
-
-def greedily_on_voxels(scene: Scene, seed: int) -> Outcome:
-    """6-connected Dijkstra's costs, greedy bundles, A* legs."""
-    clock = Clock()
-    oracle = voxel_oracle(scene, VoxelSettings(6))
-    bundles = refine_bundles(scene, travel=oracle.travel, iterations=0, seed=seed)
-    ways = [leg for drone, route in enumerate(bundles) for leg in route_legs(scene, drone, route, oracle.leg)]
-    seconds = clock.read()
-    return Outcome(bundles, sum(map(_length, ways)), *seconds)
-
-
-def _length(points: FloatArray) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-
-Pipeline: TypeAlias = Callable[[Scene, int], Outcome]
-
-
-def _pipelines(family: str) -> dict[str, Pipeline]:
-    """The pipelines by name; without OpenVINO's where that is not installed."""
-    student = shipped_student()
-    torch_student = network(student, "torch")
-    pipelines: dict[str, Pipeline] = {"learned": partial(by_learning, torch_student)}
-    try:
-        pipelines[OPENVINO] = partial(by_learning, _compiled(student))
-    except MissingExtra as fault:
-        print(f"benchmarks.scalability: {fault}", file=sys.stderr)
-    return pipelines | {
-        BATCHES: partial(by_batches, torch_student, family),
-        "hybrid": partial(by_both, torch_student),
-        "classical": classically,
-        "voxel6": partial(on_voxels, "voxel6"),
-        "voxel26": partial(on_voxels, "voxel26"),
-        "voxel6-greedy": greedily_on_voxels,
-    }
-
-
-def _compiled(student: Student) -> Network:
-    """The student by OpenVINO, its sampler compiled for one to eight drones at a time before any clock runs."""
-    compiled = network(student, "openvino-f32")
-    scene = generate("forest", drones=10, tasks=20, seed=UNSEEN)
-    one = example(scene, refine_bundles(scene, travel=straight_travel(scene), iterations=0).routes)
-    _, tokens = decide(compiled, collate([one]))
-    for count in (1, 2, 4, 8):
-        places = [(0, drone) for drone in range(count)]
-        noise = torch.zeros(count, student.settings.num_samples, 3)
-        for steps in STEPS:
-            compiled.sample(rows_of(student.settings, tokens, [one], places), noise, steps)
-    return compiled
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     options = _parser().parse_args(argv)
     torch.set_num_threads(options.threads)
-    pipelines = _pipelines(options.family)
-    rows = Rows(options.out / "scalability.csv", COLUMNS)
+    pipelines = way_finders(options.family)
+    rows = CsvRows(options.out / "scalability.csv", COLUMNS)
     for tasks in options.tasks:
         for number in range(-WARM_UP, options.scenes):
             scene = generate(options.family, drones=10, tasks=tasks, seed=UNSEEN + options.seed + number)
             records = list(_records(scene, options.seed + max(number, 0), number < 0, pipelines))
             for record in records if number >= 0 else ():
                 rows.add(record)
-            print(f"\r{tasks} tasks: {number + 1}/{options.scenes}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+            tell(f"{tasks} tasks: {number + 1}/{options.scenes}")
+    tell("\n")
     rows.close()
     write_summary(options.out, _summary(rows.records, options.tasks))
     _plot(rows.records, options.tasks, options.out / "scalability.png")
@@ -269,17 +80,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.scalability", description=(__doc__ or "").split("\n")[0])
+    parser = benchmark_parser("scalability", __doc__)
     parser.add_argument("--scenes", type=int, default=100, help="for each number of tasks (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
     parser.add_argument("--tasks", type=int, nargs="+", default=[20, 30, 40], help="numbers of tasks (default 20 30 40)")
     parser.add_argument("--family", choices=FAMILIES, default="forest", help="of the scenes (default forest)")
     parser.add_argument("--threads", type=int, default=1, help="of torch (default 1)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser
 
 
-def _records(scene: Scene, seed: int, warm_up: bool, pipelines: dict[str, Pipeline]) -> Iterator[dict[str, object]]:
+def _records(scene: Scene, seed: int, warm_up: bool, pipelines: dict[str, WayFinder]) -> Iterator[Record]:
     """A row for each pipeline."""
     travel = compute_travel(scene)
     best = refine_bundles(scene, travel=travel, iterations=20_000)
@@ -297,27 +106,25 @@ def _records(scene: Scene, seed: int, warm_up: bool, pipelines: dict[str, Pipeli
         }  # fmt: skip
 
 
-def _judged(scene: Scene, outcome: Outcome, travel: Travel) -> tuple[float, bool]:
+def _judged(scene: Scene, outcome: WaysFound, travel: Travel) -> tuple[float, bool]:
     """CPU seconds to decoded flights, and whether the plan is certified once flights are kept apart; NaN if not decoded."""
     if outcome.travel is None:
         return float("nan"), False
     clock = Clock()
     flights = decode(scene, outcome.bundles, outcome.samples, travel=outcome.travel)
     flights_s = outcome.ways_s + clock.read()[0]
-    flights = deconflict(scene, outcome.bundles, flights, travel=travel).flights
     proof = lower_bound(scene, travel, bound="fast")
-    cost = plan_cost(travel, outcome.bundles, flights, proof)
-    plan = dataclasses.replace(draft_plan(scene, "scalability", outcome.bundles), flights=flights, cost=cost)
-    return flights_s, certify(scene, plan, travel=travel, bound=proof).certified
+    made = finish(scene, travel, outcome.bundles, GivenFlights(flights), planner="scalability", proof=proof)
+    return flights_s, made.status == Status.CERTIFIED
 
 
-def _column(records: list[dict[str, object]], pipeline: str, tasks: int, key: str) -> FloatArray:
+def _column(records: list[Record], pipeline: str, tasks: int, key: str) -> FloatArray:
     """(S,): one column of one pipeline, by scene."""
     chosen = [row[key] for row in records if (row["pipeline"], row["tasks"]) == (pipeline, tasks)]
     return np.array(chosen, dtype=np.float64)
 
 
-def _summary(records: list[dict[str, object]], sizes: Sequence[int]) -> str:
+def _summary(records: list[Record], sizes: Sequence[int]) -> str:
     table = []
     for tasks in sizes:
         voxel = {name: _column(records, name, tasks, "ways_s") for name in VOXEL}
@@ -350,18 +157,18 @@ def _summary(records: list[dict[str, object]], sizes: Sequence[int]) -> str:
     return "\n".join([header("Scalability", "benchmarks.scalability"), markdown_table(columns, table), notes])
 
 
-def _names(records: list[dict[str, object]]) -> list[str]:
+def _names(records: list[Record]) -> list[str]:
     """The pipelines that were run, in order."""
     return [name for name in NAMES if any(row["pipeline"] == name for row in records)]
 
 
-def _growth(records: list[dict[str, object]], name: str, sizes: Sequence[int]) -> float:
+def _growth(records: list[Record], name: str, sizes: Sequence[int]) -> float:
     """How many times the median time to ways of the most tasks is that of the fewest."""
     first, last = (np.median(_column(records, name, tasks, "ways_s")) for tasks in (sizes[0], sizes[-1]))
     return float(last / first)
 
 
-def _plot(records: list[dict[str, object]], sizes: Sequence[int], path: Path) -> None:
+def _plot(records: list[Record], sizes: Sequence[int], path: Path) -> None:
     """Median milliseconds to ways, with bands from the 5th to the 95th percentile."""
     from matplotlib.figure import Figure
 

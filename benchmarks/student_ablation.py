@@ -14,16 +14,15 @@ trained on. The first scene of each kind is a warm-up and not counted.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
 from flockopt import Scene, refine_bundles
 from flockopt.records.arrays import FloatArray
 from flockopt.travel import Travel
@@ -68,8 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     torch.set_num_threads(options.threads)
     students = {_name(path): load_student(path) for path in options.weights}
     first = next(iter(students.values()))
-    trajectories = Rows(options.out / "trajectories.csv", TRAJECTORY_COLUMNS)
-    allocation = Rows(options.out / "allocation.csv", ALLOCATION_COLUMNS)
+    trajectories = CsvRows(options.out / "trajectories.csv", TRAJECTORY_COLUMNS)
+    allocation = CsvRows(options.out / "allocation.csv", ALLOCATION_COLUMNS)
     for kind in KINDS:
         for number in range(-1, options.scenes):
             scene, travel, base = _case(kind, UNSEEN + options.seed + number, number, first.settings.num_samples)
@@ -80,8 +79,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             for record in _allocation_rows(first, scene, travel) if kind == "forest" else ():
                 if number >= 0:
                     allocation.add({"seed": case["seed"], **record})
-            print(f"\r{kind}: {number + 1}/{options.scenes}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+            tell(f"{kind}: {number + 1}/{options.scenes}")
+    tell("\n")
     trajectories.close()
     allocation.close()
     write_summary(options.out, _summary(trajectories.records, allocation.records))
@@ -94,14 +93,12 @@ def _name(path: Path) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.student_ablation", description=(__doc__ or "").split("\n")[0])
+    parser = benchmark_parser("student_ablation", __doc__)
     parser.add_argument("--scenes", type=int, default=100, help="of each kind (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
     parser.add_argument(
         "--weights", type=Path, nargs="+", default=[WEIGHTS], help="students' weights (default: the shipped ones)"
     )
     parser.add_argument("--threads", type=int, default=1, help="of torch (default 1)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser
 
 
@@ -114,7 +111,7 @@ def _case(kind: str, seed: int, number: int, num_samples: int) -> tuple[Scene, T
     return scene, travel, example(scene, bundles.routes, num_samples)
 
 
-def _trajectory_rows(students: dict[str, Student], base: Example, travel: Travel) -> Iterator[dict[str, object]]:
+def _trajectory_rows(students: dict[str, Student], base: Example, travel: Travel) -> Iterator[Record]:
     shortest = np.array([travel.route_length(drone, route) for drone, route in enumerate(base.routes)])
     for index, (name, student) in enumerate(students.items()):
         for steps, tries in OTHER_VARIANTS if index else VARIANTS:
@@ -125,9 +122,9 @@ def _words(steps: Steps) -> str:
     return "no" if steps == 0 else str(steps) if isinstance(steps, int) else f"{steps[0]}, then {steps[1]}"
 
 
-def _drawn(student: Student, base: Example, shortest: FloatArray, steps: Steps, tries: int) -> dict[str, object]:
+def _drawn(student: Student, base: Example, shortest: FloatArray, steps: Steps, tries: int) -> Record:
     """What of a fleet is clear as drawn; ``shortest`` (N,) m."""
-    blocked, active = base.blocked.any(axis=1), base.active
+    blocked, active = base.is_blocked, base.active
     began = perf_counter()
     samples, clear = base.straight, ~blocked
     if steps:
@@ -144,7 +141,7 @@ def _drawn(student: Student, base: Example, shortest: FloatArray, steps: Steps, 
     }  # fmt: skip
 
 
-def _allocation_rows(student: Student, scene: Scene, travel: Travel) -> Iterator[dict[str, object]]:
+def _allocation_rows(student: Student, scene: Scene, travel: Travel) -> Iterator[Record]:
     best = refine_bundles(scene, travel=travel, iterations=20_000)
     best_known, owner = travel.total(best.routes), best.assignment(scene.num_tasks).argmax(axis=0)
     began = perf_counter()
@@ -155,14 +152,14 @@ def _allocation_rows(student: Student, scene: Scene, travel: Travel) -> Iterator
         accuracy = float("nan") if preferences is None else float((preferences.argmax(axis=0) == owner).mean())
         for effort, settings in _efforts(seconds):
             began = perf_counter()
-            bundles = refine_bundles(scene, preferences, travel=travel, **settings)  # type: ignore[arg-type]
+            bundles = refine_bundles(scene, preferences, travel=travel, **settings)
             yield {
                 "scene": scene.sha256[:12], "preferences": name, "effort": effort, "cost": travel.total(bundles.routes),
                 "best_known": best_known, "accuracy": accuracy, "seconds": seconds + perf_counter() - began,
             }  # fmt: skip
 
 
-def _efforts(spent_s: float) -> Iterator[tuple[str, dict[str, float]]]:
+def _efforts(spent_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
     """What the refinement is allowed, by name: iterations, or what is left of a budget of time."""
     for iterations in ITERATIONS:
         yield f"{iterations} iterations", {"iterations": iterations}
@@ -170,7 +167,7 @@ def _efforts(spent_s: float) -> Iterator[tuple[str, dict[str, float]]]:
         yield f"{budget_ms} ms in all", {"time_limit_s": max(budget_ms / 1e3 - spent_s, 1e-4)}
 
 
-def _summary(trajectories: list[dict[str, object]], allocation: list[dict[str, object]]) -> str:
+def _summary(trajectories: list[Record], allocation: list[Record]) -> str:
     table = []
     for kind, student, steps, tries in dict.fromkeys(
         (row["kind"], row["student"], row["steps"], row["tries"]) for row in trajectories
@@ -180,10 +177,10 @@ def _summary(trajectories: list[dict[str, object]], allocation: list[dict[str, o
         name = "straight lines" if steps == "no" else f"{student}, {steps} steps, best of {tries}"
         shares = [100.0 * _total(rows, part) / max(_total(rows, whole), 1.0) for part, whole in (
             ("drones_clear", "drones"), ("blocked_clear", "blocked"))]  # fmt: skip
-        detours = [float(row["detour"]) for row in rows if np.isfinite(row["detour"])]  # type: ignore[arg-type]
+        detours = [float(row["detour"]) for row in rows if np.isfinite(row["detour"])]
         detour = 100.0 * float(np.mean(detours)) if detours else float("nan")
-        median, worst = spread([1e3 * float(row["seconds"]) for row in rows])  # type: ignore[arg-type]
-        clear = 100.0 * float(np.mean([row["scene_clear"] for row in rows]))  # type: ignore[arg-type]
+        median, worst = spread([1e3 * float(row["seconds"]) for row in rows])
+        clear = 100.0 * float(np.mean([row["scene_clear"] for row in rows]))
         table.append([kind, name, clear, *shares, detour, median, worst])
     columns = ["scenes", "drawn by", "scenes clear %", "drones clear %", "blocked drones clear %", "detour %", "ms", "p95 ms"]
     lines = [header("Student ablation", "benchmarks.student_ablation"), "## Trajectories, before mending\n"]
@@ -191,19 +188,19 @@ def _summary(trajectories: list[dict[str, object]], allocation: list[dict[str, o
     return "\n".join(lines)
 
 
-def _allocation_table(records: list[dict[str, object]]) -> str:
+def _allocation_table(records: list[Record]) -> str:
     table = []
     for name, effort in dict.fromkeys((row["preferences"], row["effort"]) for row in records):
         rows = [row for row in records if (row["preferences"], row["effort"]) == (name, effort)]
-        over = [100.0 * (float(row["cost"]) / float(row["best_known"]) - 1.0) for row in rows]  # type: ignore[arg-type]
-        median, _ = spread([1e3 * float(row["seconds"]) for row in rows])  # type: ignore[arg-type]
-        accuracy = 100.0 * float(np.mean([row["accuracy"] for row in rows]))  # type: ignore[arg-type]
+        over = [100.0 * (float(row["cost"]) / float(row["best_known"]) - 1.0) for row in rows]
+        median, _ = spread([1e3 * float(row["seconds"]) for row in rows])
+        accuracy = 100.0 * float(np.mean([row["accuracy"] for row in rows]))
         table.append([name, effort, accuracy, float(np.mean(over)), median])
     return markdown_table(["preferences", "effort", "best drone %", "over best known %", "ms"], table)
 
 
-def _total(rows: list[dict[str, object]], key: str) -> float:
-    return float(sum(row[key] for row in rows))  # type: ignore[misc]
+def _total(rows: list[Record], key: str) -> float:
+    return float(sum(row[key] for row in rows))
 
 
 if __name__ == "__main__":

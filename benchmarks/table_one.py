@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 
-from benchmarks.report import header, markdown_table
+from benchmarks.report import Record, header, markdown_table
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["draw", "summary"]
-
-Record: TypeAlias = Mapping[str, Any]
 
 BASELINE = "magnnet-bundling"
 

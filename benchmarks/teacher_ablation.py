@@ -11,27 +11,26 @@ policy that leaves tasks out is measured too; the costs of the same bundles on v
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from benchmarks.allocators import nearest_task
-from benchmarks.report import Rows, write_summary
+from benchmarks.report import CsvRows, Record, benchmark_parser, write_summary
 from benchmarks.table_one import draw, summary
-from flockopt import FlockError, SettingsError
+from flockopt import SettingsError
 from flockopt.batches.backends import BACKENDS
 from flockopt.batches.progress import ProgressBar
 from flockopt.bundles.exact.exact import solve_exact
 from flockopt.bundles.explain import explained
-from flockopt.planning.planners import PLANNERS, Proposal, Request, classical
+from flockopt.cli.status import run_command
+from flockopt.planning.planners import PLANNERS, Planner, Proposal, Request
 from flockopt.records import checks
 from flockopt.scene import Scene
 from flockopt.scene.families.layouts import FAMILIES
 from learned.paths.ways import PATHS, find_ways
-from learned.teacher import planner as learned_planner
+from learned.teacher.planner import MAGNNET, MAGNNET_BUNDLING, TEACHER, TEACHER_UNREFINED, refined
 from sim.trials.batch import run_batch
 from sim.trials.journal import Journal
 from sim.trials.trial import Result, Trial, run_trial
@@ -45,18 +44,21 @@ PROOF_S = 60.0
 Method: TypeAlias = Callable[[Request], tuple[Proposal, dict[str, float]]]
 
 
-def _plainly(planner: Callable[[Request], Proposal], request: Request) -> tuple[Proposal, dict[str, float]]:
-    return planner(request), {}
+def _plainly(planner: Planner, request: Request) -> tuple[Proposal, dict[str, float]]:
+    return planner.propose(request), {}
 
 
 def _nearest(request: Request) -> Proposal:
     return Proposal(nearest_task(request.scene, request.travel, request.seed))
 
 
-def _then_refined(planner: Callable[[Request], Proposal], request: Request) -> tuple[Proposal, dict[str, float]]:
+NEAREST = Planner(_nearest, "nearest")
+
+
+def _then_refined(planner: Planner, request: Request) -> tuple[Proposal, dict[str, float]]:
     """The same refinement as the teacher's after another method: what it is worth by itself."""
-    first = planner(request)
-    (routes,) = learned_planner.refined([request.scene], [request.travel], [first.bundles.routes])
+    first = planner.propose(request)
+    (routes,) = refined([request.scene], [request.travel], [first.bundles.routes])
     return replace(first, bundles=explained(request.scene, request.travel, routes)), {}
 
 
@@ -67,18 +69,16 @@ def _exact(request: Request) -> tuple[Proposal, dict[str, float]]:
 
 #: Methods by name, in the order of the table.
 METHODS: dict[str, Method] = {
-    "magnnet": partial(_plainly, learned_planner.magnnet),
-    "magnnet-bundling": partial(_plainly, learned_planner.magnnet_bundling),
-    "teacher": partial(_plainly, learned_planner.teacher),
-    "teacher-unrefined": partial(_plainly, learned_planner.teacher_unrefined),
-    "magnnet-bundling-refined": partial(_then_refined, learned_planner.magnnet_bundling),
-    "nearest": partial(_plainly, _nearest),
-    "nearest-refined": partial(_then_refined, _nearest),
-    "search": partial(_plainly, classical),
+    "magnnet": partial(_plainly, MAGNNET),
+    "magnnet-bundling": partial(_plainly, MAGNNET_BUNDLING),
+    "teacher": partial(_plainly, TEACHER),
+    "teacher-unrefined": partial(_plainly, TEACHER_UNREFINED),
+    "magnnet-bundling-refined": partial(_then_refined, MAGNNET_BUNDLING),
+    "nearest": partial(_plainly, NEAREST),
+    "nearest-refined": partial(_then_refined, NEAREST),
+    "search": partial(_plainly, PLANNERS["classical"]),
     "exact": _exact,
 }
-
-Record: TypeAlias = dict[str, Any]
 
 COLUMNS = (
     "scene", "family", "seed", "method", "status", "failed", "planner_coverage", "execution_completion", "contacts", "cost",
@@ -90,12 +90,12 @@ COLUMNS = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if every method but MAGNNET served all tasks of all scenes in flight."""
     options = _parser().parse_args(argv)
-    try:
-        records = _records(options)
-    except FlockError as fault:
-        print(f"benchmarks.teacher_ablation: {fault}", file=sys.stderr)
-        return 2
-    rows = Rows(options.out / "teacher_ablation.csv", COLUMNS)
+    return run_command("benchmarks.teacher_ablation", lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    records = _records(options)
+    rows = CsvRows(options.out / "teacher_ablation.csv", COLUMNS)
     for record in records:
         rows.add({column: "" if record.get(column) is None else record[column] for column in COLUMNS})
     rows.close()
@@ -105,16 +105,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.teacher_ablation", description=(__doc__ or "").split("\n")[0])
+    parser = benchmark_parser("teacher_ablation", __doc__)
     parser.add_argument("--scenes", type=int, default=100, help="how many, over all families (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first scene; the others follow (default 0)")
     parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=list(FAMILIES), help="dealt scenes in turn")
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS), help="what to compare")
     parser.add_argument("--drones", type=int, default=10, help="in each scene (default 10)")
     parser.add_argument("--tasks", type=int, default=20, help="in each scene (default 20)")
     parser.add_argument("--jobs", type=int, default=1, help="flights side by side (default 1)")
     parser.add_argument("--backend", default="loky", help=f"where they run: {', '.join(BACKENDS)} (default loky: processes)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser
 
 
@@ -135,7 +133,7 @@ def _records(options: argparse.Namespace) -> list[Record]:
                     bar.advance("")
             run_batch(
                 trials, journal, jobs=jobs, backend=options.backend, work=fly,
-                done=lambda result, method=method: bar.advance(f"{method} {result.key}"), warn=bar.note,
+                done=partial(_tell, bar, method), warn=bar.note,
             )  # fmt: skip
             for trial in trials:
                 result = journal.results[trial.key]
@@ -144,25 +142,24 @@ def _records(options: argparse.Namespace) -> list[Record]:
     return _compared(found)
 
 
+def _tell(bar: ProgressBar, method: str, result: Result) -> None:
+    bar.advance(f"{method} {result.key}")
+
+
 def fly(trial: Trial) -> Result:
     """Allocate by the method that the trial's planner names, plan, fly, and price the bundles on voxel grids too."""
     known: dict[str, Any] = {}
+    name = str(trial.planner)
 
     def propose(request: Request) -> Proposal:
-        proposal, more = METHODS[trial.planner](request)
+        proposal, more = METHODS[name](request)
         known.update(more, proposal=proposal, scene=request.scene)
         return proposal
 
-    # a name of its own, since other threads fly other scenes by the same method
-    name = f"{trial.planner}:{trial.key}"
-    PLANNERS[name] = propose
-    try:
-        result = run_trial(replace(trial, planner=name))
-    finally:
-        del PLANNERS[name]
+    result = run_trial(replace(trial, planner=Planner(propose, name)))
     proposal, scene = known.pop("proposal", None), known.pop("scene", None)
     costs = {} if proposal is None else _voxel_costs(scene, proposal)
-    return Result(result.key, {**result.row, "planner": trial.planner, **known, **costs}, result.timing)
+    return Result(result.key, {**result.row, **known, **costs}, result.timing)
 
 
 def _voxel_costs(scene: Scene, proposal: Proposal) -> dict[str, float]:

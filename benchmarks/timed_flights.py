@@ -14,24 +14,25 @@ scene and timed the second time, so that no program is built in it; the first sc
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
+from typing import TypeVar
 
 import numpy as np
 import torch
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
-from flockopt import Scene, certify, compute_travel, decode, deconflict, generate, refine_bundles
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
+from flockopt import Scene, compute_travel, decode, generate, refine_bundles
 from flockopt.bundles import Bundles
 from flockopt.flights import Flight
 from flockopt.flights.smoothing.improve import MOTIONLESS, SMOOTHED
 from flockopt.flights.smoothing.proposals import Proposed, fly_proposals
 from flockopt.flights.smoothing.smooth import Smoothed, smooth_each
 from flockopt.flights.smoothing.stages import squared_jerk
-from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.planning.finish import GivenFlights, finish
+from flockopt.records.status import Status
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from learned.smoother.smoother import WEIGHTS, NetworkProposer, shipped_timed
@@ -49,7 +50,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Case:
+class DecodedFleet:
     """A scene with its bundles and its closed-form flights."""
 
     scene: Scene
@@ -58,7 +59,7 @@ class Case:
     flights: dict[str, Flight]
 
     @classmethod
-    def of(cls, family: str, drones: int, tasks: int, seed: int) -> Case:
+    def of(cls, family: str, drones: int, tasks: int, seed: int) -> DecodedFleet:
         """The case of a generated scene, with near-optimal bundles."""
         scene = generate(family, drones=drones, tasks=tasks, seed=seed)
         travel = compute_travel(scene)
@@ -71,16 +72,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     torch.set_num_threads(1)
     proposer = NetworkProposer(shipped_timed(options.weights))
-    rows = Rows(options.out / "timed_flights.csv", COLUMNS)
+    rows = CsvRows(options.out / "timed_flights.csv", COLUMNS)
     for number in range(-min(len(FAMILIES), options.scenes), options.scenes):
         family = tuple(FAMILIES)[number % len(FAMILIES)]
-        case = Case.of(family, options.drones, options.tasks, UNSEEN + options.seed + number)
+        case = DecodedFleet.of(family, options.drones, options.tasks, UNSEEN + options.seed + number)
         for record in _records(case, proposer):
             if number >= 0:
                 head = {"family": family, "scene": case.scene.sha256[:12], "seed": options.seed + number}
                 rows.add(head | record)
-        print(f"\r{max(number + 1, 0)}/{options.scenes}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        tell(f"{max(number + 1, 0)}/{options.scenes}")
+    tell("\n")
     rows.close()
     write_summary(options.out, _summary(rows.records))
     _picture(rows.records, options.out / "timed_flights.png")
@@ -88,33 +89,34 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.timed_flights", description=(__doc__ or "").split("\n")[0])
+    parser = benchmark_parser("timed_flights", __doc__)
     parser.add_argument("--scenes", type=int, default=100, help="of all families in turn (default 100)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
     parser.add_argument("--drones", type=int, default=10, help="of each scene (default 10)")
     parser.add_argument("--tasks", type=int, default=20, help="of each scene (default 20)")
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="of a network (default: the shipped ones)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser
 
 
-def _timed(go: Callable[[], dict[str, Proposed] | dict[str, Smoothed]]) -> tuple[dict[str, Proposed | Smoothed], float]:
+Flown = TypeVar("Flown", Proposed, Smoothed)
+
+
+def _timed(go: Callable[[], dict[str, Flown]]) -> tuple[dict[str, Flown], float]:
     """What a function gives when it is called again, and seconds."""
     go()
     began = perf_counter()
-    return dict(go()), perf_counter() - began
+    return go(), perf_counter() - began
 
 
-def _records(case: Case, proposer: NetworkProposer) -> list[dict[str, object]]:
+def _records(case: DecodedFleet, proposer: NetworkProposer) -> list[Record]:
     """A row for each way."""
     scene, flights = case.scene, case.flights
     proposed, proposed_s = _timed(lambda: fly_proposals(scene, flights, proposer))
-    starts = {name: each.flight if each.status == SMOOTHED else each.raw for name, each in proposed.items()}  # type: ignore[union-attr]
+    starts = {name: each.flight if each.status == SMOOTHED else each.raw for name, each in proposed.items()}
     cold, cold_s = _timed(lambda: smooth_each(scene, flights))
     warm, warm_s = _timed(lambda: smooth_each(scene, flights, starts=starts))
     unchanged = {name: Smoothed(flight, 1.0, 1.0, 0, 0.0, "unchanged") for name, flight in flights.items()}
     moving = [name for name, each in cold.items() if each.status != MOTIONLESS]
-    ways = (
+    ways: tuple[tuple[str, Mapping[str, Proposed | Smoothed], float], ...] = (
         (CLOSED, unchanged, 0.0),
         (NETWORK, proposed, proposed_s),
         (CASADI, cold, cold_s),
@@ -124,19 +126,17 @@ def _records(case: Case, proposer: NetworkProposer) -> list[dict[str, object]]:
 
 
 def _record(
-    case: Case, way: str, reports: dict[str, Proposed] | dict[str, Smoothed], moving: list[str], seconds: float
-) -> dict[str, object]:
+    case: DecodedFleet, way: str, reports: Mapping[str, Proposed | Smoothed], moving: list[str], seconds: float
+) -> Record:
     chosen = {name: each.flight for name, each in reports.items()}
-    apart = deconflict(case.scene, case.bundles, chosen, travel=case.travel).flights
-    cost = plan_cost(case.travel, case.bundles, apart, None)
-    draft = replace(draft_plan(case.scene, "search", case.bundles), flights=apart, cost=cost)
-    certified = certify(case.scene, draft, travel=case.travel, bound=None).certified
+    made = finish(case.scene, case.travel, case.bundles, GivenFlights(chosen), planner="search")
+    certified = made.status == Status.CERTIFIED
     at_once = [getattr(reports[name], "at_once", False) for name in moving]
     in_part = [way == NETWORK and reports[name].status == SMOOTHED for name in moving]
     return {
         "way": way, "moving": len(moving), "at_once": sum(at_once), "in_part": sum(in_part), "certified": certified,
-        "status": "certified" if certified else "uncertified", "all_at_once": certified and all(at_once),
-        "all_in_part": certified and all(in_part), "makespan_s": cost.makespan,
+        "status": made.status, "all_at_once": certified and all(at_once),
+        "all_in_part": certified and all(in_part), "makespan_s": made.cost.makespan,
         "cost": float(np.mean([reports[name].cost_after / reports[name].cost_before for name in moving])),
         "jerk": sum(map(_jerk, chosen.values())) / sum(map(_jerk, case.flights.values())),
         "iterations": sum(getattr(each, "iterations", 0) for each in reports.values()), "seconds": seconds,
@@ -147,15 +147,15 @@ def _jerk(flight: Flight) -> float:
     return squared_jerk(flight.curve.breakpoints, flight.curve.coefficients)
 
 
-def _column(records: list[dict[str, object]], way: str, name: str) -> np.ndarray:
-    return np.array([float(row[name]) for row in records if row["way"] == way])  # type: ignore[arg-type]
+def _column(records: list[Record], way: str, name: str) -> np.ndarray:
+    return np.array([float(row[name]) for row in records if row["way"] == way])
 
 
-def _summary(records: list[dict[str, object]]) -> str:
+def _summary(records: list[Record]) -> str:
     table = []
     for way in (CLOSED, NETWORK, CASADI, WARM):
         column = {name: _column(records, way, name) for name in COLUMNS[4:8] + COLUMNS[9:]}
-        milliseconds, worst = spread(1e3 * column["seconds"])  # type: ignore[arg-type]
+        milliseconds, worst = spread(1e3 * column["seconds"])
         shorter = column["makespan_s"] / _column(records, CLOSED, "makespan_s")
         proposed = [100.0 * column[name].mean() if way == NETWORK else "" for name in ("all_at_once", "all_in_part")]
         drones = [
@@ -173,7 +173,7 @@ def _summary(records: list[dict[str, object]]) -> str:
     return "\n".join(lines)
 
 
-def _ratios(records: list[dict[str, object]]) -> str:
+def _ratios(records: list[Record]) -> str:
     """Ratios scene by scene, by family and for all."""
     table = []
     for family in (*dict.fromkeys(str(row["family"]) for row in records), "all"):
@@ -195,7 +195,7 @@ def _ratios(records: list[dict[str, object]]) -> str:
     return "Gain is the fall in cost; other ratios are medians of those of single scenes.\n\n" + markdown_table(columns, table)
 
 
-def _picture(records: list[dict[str, object]], path: Path) -> None:
+def _picture(records: list[Record], path: Path) -> None:
     """Cost over milliseconds, a dot a scene."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

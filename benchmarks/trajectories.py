@@ -10,25 +10,21 @@ are kept apart as in a plan, and what fails after that counts as a failure.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
-from benchmarks.report import Rows, header, markdown_table, spread, write_summary
+from benchmarks.flight_measures import clearance_margin, limit_margins, makespan, separation_margin, squared_jerk, visit_error
+from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
 from flockopt import Bundles, FlockError, Scene, compute_travel, generate, refine_bundles, smooth
-from flockopt.flights import Curve, Flight
+from flockopt.flights import Flight
 from flockopt.flights import decode as decoding
 from flockopt.flights.apart.deconflict import deconflict
 from flockopt.flights.laws.quintic import decode_quintic
 from flockopt.flights.waypoints import waypoints_from_paths
-from flockopt.geometry.bernstein import control_points, largest_norm
-from flockopt.geometry.continuous import least_clearance, least_separation, parked
-from flockopt.records.arrays import FloatArray
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 
@@ -64,12 +60,9 @@ REPEATS = 3
 #: Margins below this are failures, metres or fractions of a limit; and how far a visit may be off.
 SLACK, VISIT_M = 1e-6, 1e-3
 
-#: How far below its true value a reported margin may lie, metres.
-MARGIN_TOLERANCE_M = 1e-4
-
 
 @dataclass(frozen=True)
-class Case:
+class BundledScene:
     """A scene with its bundles, which all laws fly."""
 
     family: str
@@ -79,7 +72,7 @@ class Case:
     bundles: Bundles
 
     @classmethod
-    def make(cls, family: str, seed: int, drones: int, tasks: int) -> Case:
+    def make(cls, family: str, seed: int, drones: int, tasks: int) -> BundledScene:
         """A family's scene of a seed, its bundles refined."""
         scene = generate(family, drones=drones, tasks=tasks, seed=seed)
         travel = compute_travel(scene)
@@ -102,19 +95,19 @@ class Case:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if no law failed anywhere."""
     options = _parser().parse_args(argv)
-    rows, shown = Rows(options.out / "trajectories.csv", COLUMNS), None
+    rows, shown = CsvRows(options.out / "trajectories.csv", COLUMNS), None
     drones, tasks = (int(part) for part in options.size.split("x"))
     for number in range(options.scenes):
         family = list(FAMILIES)[number % len(FAMILIES)]
-        case = Case.make(family, options.seed + number // len(FAMILIES), drones, tasks)
+        case = BundledScene.make(family, options.seed + number // len(FAMILIES), drones, tasks)
         if shown is None:
             shown = case
             for law in options.laws:
                 LAWS[law](case.scene, case.bundles, case.travel)  # warm-up
         for law in options.laws:
             rows.add(run(case, law))
-        print(f"\r{number + 1}/{options.scenes} {family:<10}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        tell(f"{number + 1}/{options.scenes} {family:<10}")
+    tell("\n")
     rows.close()
     write_summary(options.out, _summary(rows.records, options.laws))
     if shown is not None:
@@ -123,18 +116,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.trajectories", description=__doc__.split("\n")[0])
+    parser = benchmark_parser("trajectories", __doc__)
     parser.add_argument("--scenes", type=int, default=40, help="how many, in turn from each family (default 40)")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed (default 0)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     parser.add_argument("--size", default="10x20", help="drones x tasks (default 10x20)")
     parser.add_argument("--laws", nargs="+", default=list(LAWS), choices=list(LAWS), help="what to compare (default all)")
     return parser
 
 
-def run(case: Case, law: str) -> dict[str, object]:
+def run(case: BundledScene, law: str) -> Record:
     """Fly one scene by one law and describe the flights as a row."""
-    record: dict[str, object] = {"scene": case.scene.sha256[:12], "family": case.family, "seed": case.seed, "law": law}
+    record: Record = {"scene": case.scene.sha256[:12], "family": case.family, "seed": case.seed, "law": law}
     times = []
     try:
         for _ in range(REPEATS):
@@ -145,96 +136,38 @@ def run(case: Case, law: str) -> dict[str, object]:
     except FlockError as fault:
         return record | {"status": "error", "failed": str(fault)}
     bounds = case.bounds()
-    makespan, bound = _makespan(flights), max(bounds.values(), default=0.0)
+    slowest_s, bound = makespan(flights), max(bounds.values(), default=0.0)
     record |= {
-        "makespan": makespan, "bound": bound, "ratio": makespan / bound,
+        "makespan": slowest_s, "bound": bound, "ratio": slowest_s / bound,
         "drone_ratio": float(np.mean([flights[name].curve.end_time / bound for name, bound in bounds.items()])),
         "length": sum(flight.curve.length for flight in flights.values()),
-        "squared_jerk": sum(_squared_jerk(flight.curve) for flight in flights.values()),
-        **_limit_margins(case.scene, flights),
-        "clearance_margin": _clearance_margin(case.scene, flights),
-        "separation_margin": _separation_margin(case.scene, flights),
-        "visit_error": _visit_error(case.scene, flights),
+        "squared_jerk": sum(squared_jerk(flight.curve) for flight in flights.values()),
+        **limit_margins(case.scene, flights),
+        "clearance_margin": clearance_margin(case.scene, flights),
+        "separation_margin": separation_margin(case.scene, flights),
+        "visit_error": visit_error(case.scene, flights),
         "fit_error": _fit_error(case) if law == "quintic" else None,
         "most_pieces": max(flight.curve.num_pieces for flight in flights.values()),
-        "decode_s": min(times), "makespan_apart": _makespan(apart.flights),
-        "separation_margin_apart": _separation_margin(case.scene, apart.flights), "unresolved": len(apart.unresolved),
+        "decode_s": min(times), "makespan_apart": makespan(apart.flights),
+        "separation_margin_apart": separation_margin(case.scene, apart.flights), "unresolved": len(apart.unresolved),
     }  # fmt: skip
     failed = [key for key in record if "_margin" in key and key != "separation_margin" and not record[key] >= -SLACK]
     failed += ["visit_error"] if not record["visit_error"] <= VISIT_M else []
     return record | {"status": "failed" if failed else "ok", "failed": " ".join(failed)}
 
 
-def _makespan(flights: Mapping[str, Flight]) -> float:
-    return max((flight.curve.end_time for flight in flights.values()), default=0.0)
-
-
-def _squared_jerk(curve: Curve) -> float:
-    """The integral of squared jerk, m2/s5: exact, as 8 Gauss nodes are for degrees up to 15."""
-    nodes, weights = np.polynomial.legendre.leggauss(8)
-    spans = np.diff(curve.breakpoints)
-    times = curve.breakpoints[:-1, None] + spans[:, None] * (nodes + 1) / 2
-    return float((np.sum(curve(times, 3) ** 2, axis=-1) @ weights) @ spans / 2)
-
-
-def _limit_margins(scene: Scene, flights: Mapping[str, Flight]) -> dict[str, float]:
-    """By how much each limit is kept at the worst, as a fraction of it."""
-    names, worst = ("speed_margin", "acceleration_margin", "jerk_margin"), [np.inf] * 3
-    for drone in scene.drones:
-        if drone.id in flights:
-            curve = flights[drone.id].curve
-            control = control_points(curve.breakpoints, curve.coefficients, curve.coefficients.shape[2])
-            for k, limit in enumerate((drone.max_speed, drone.flyable_acceleration, drone.max_jerk)):
-                worst[k] = min(worst[k], 1.0 - largest_norm(curve.breakpoints, control, k + 1)[0] / limit)
-    return dict(zip(names, worst, strict=True))
-
-
-def _clearance_margin(scene: Scene, flights: Mapping[str, Flight]) -> float:
-    """How much farther from obstacles than they must the drones stay at the worst, metres."""
-    margins = [np.inf]
-    for drone in scene.drones:
-        if drone.id in flights:
-            curve, needs = flights[drone.id].curve, np.full(len(scene.obstacles), drone.radius + scene.clearance)
-            room = scene.obstacle_table, scene.obstacle_boxes, needs
-            margins.append(least_clearance(*room, curve.breakpoints, curve.coefficients, MARGIN_TOLERANCE_M)[0])
-    return min(margins)
-
-
-def _separation_margin(scene: Scene, flights: Mapping[str, Flight]) -> float:
-    """How much farther from each other than they must the drones stay at the worst, metres; parked ones count."""
-    if scene.separation == 0.0:
-        return np.inf
-    curves: list[tuple[FloatArray, FloatArray]] = [
-        (flights[drone.id].curve.breakpoints, flights[drone.id].curve.coefficients)
-        if drone.id in flights
-        else parked(np.array(drone.start))
-        for drone in scene.drones
-    ]
-    axes, worst, end = np.array(scene.separation_axes), np.inf, _makespan(flights)
-    for a, b in combinations(curves, 2):
-        worst = min(worst, least_separation(*a, *b, axes, 0.0, end, MARGIN_TOLERANCE_M, worst)[0])
-    return float(worst)
-
-
-def _visit_error(scene: Scene, flights: Mapping[str, Flight]) -> float:
-    """How far from its task a drone is at its visit at most, metres."""
-    positions = {task.id: task.position for task in scene.tasks}
-    visits = [(flight, visit) for flight in flights.values() for visit in flight.visits]
-    return max((float(np.linalg.norm(flight.curve(v.time) - positions[v.task])) for flight, v in visits), default=0.0)
-
-
-def _fit_error(case: Case) -> float:
+def _fit_error(case: BundledScene) -> float:
     """How far the quintic law's pieces are from its spline at most, metres."""
     ways = {i: waypoints_from_paths(case.scene, case.travel, i, route) for i, route in enumerate(case.bundles)}
     return max(decode_quintic(case.scene, {i: way for i, way in ways.items() if way.moves}).fit_error_m.values())
 
 
-def _by_law(records: list[dict[str, object]], laws: Sequence[str]) -> Iterator[tuple[str, list[dict[str, object]]]]:
+def _by_law(records: list[Record], laws: Sequence[str]) -> Iterator[tuple[str, list[Record]]]:
     for law in laws:
         yield law, [record for record in records if record["law"] == law and record["status"] != "error"]
 
 
-def _summary(records: list[dict[str, object]], laws: Sequence[str]) -> str:
+def _summary(records: list[Record], laws: Sequence[str]) -> str:
     makespans = {(r["scene"], r["law"]): r["makespan"] for r in records if r["status"] != "error"}
     table, families = [], []
     for law, done in _by_law(records, laws):
@@ -270,7 +203,7 @@ def _summary(records: list[dict[str, object]], laws: Sequence[str]) -> str:
     return text + "\n" + "\n".join(failures)
 
 
-def _fly_through_against_quintic(makespans: Mapping[tuple[object, object], object]) -> str:
+def _fly_through_against_quintic(makespans: Mapping[tuple[str, str], float]) -> str:
     pairs = [
         (value, makespans[scene, "quintic"])
         for (scene, law), value in makespans.items()
@@ -284,11 +217,11 @@ def _fly_through_against_quintic(makespans: Mapping[tuple[object, object], objec
     )
 
 
-def _mean(records: list[dict[str, object]], key: str) -> float:
+def _mean(records: list[Record], key: str) -> float:
     return float(np.mean([record[key] for record in records])) if records else float("nan")
 
 
-def _plot(case: Case, laws: Sequence[str], path: Path) -> None:
+def _plot(case: BundledScene, laws: Sequence[str], path: Path) -> None:
     """Speed and jerk over time of the drone that flies longest, by law."""
     from matplotlib.figure import Figure
 

@@ -21,9 +21,11 @@ if TYPE_CHECKING:
     from flockopt.flights.smoothing.smooth import smooth
     from flockopt.outputs.devices.export import Export, export
     from flockopt.outputs.pictures.drawing import show
-    from flockopt.planning.pipeline import plan
     from flockopt.planning.handover import Changes
+    from flockopt.planning.pipeline import plan
+    from flockopt.planning.planners import Planner, Proposal
     from flockopt.planning.replan import replan
+    from flockopt.planning.settings import PlanSettings
     from flockopt.scene import Bounds, Box, Cylinder, Drone, Origin, Scene, Sphere, Task
     from flockopt.scene.families.generate import generate
     from flockopt.travel import Travel
@@ -33,9 +35,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bound", "Bounds", "Box", "Bundles", "Changes", "Curve", "Cylinder", "Drone", "Export", "Flight", "FlockError",
-    "MissingExtra", "Origin", "Plan", "PlanError", "Scene", "SceneError", "SettingsError", "SolverFailed", "Sphere", "Task",
-    "Travel", "Visit", "__version__", "certify", "compute_travel", "decode", "deconflict", "export", "generate",
-    "lower_bound", "plan", "refine_bundles", "replan", "show", "smooth",
+    "MissingExtra", "Origin", "Plan", "PlanError", "PlanSettings", "Planner", "Proposal", "Scene", "SceneError",
+    "SettingsError", "SolverFailed", "Sphere", "Task", "Travel", "Visit", "__version__", "certify", "compute_travel",
+    "decode", "deconflict", "export", "generate", "lower_bound", "plan", "refine_bundles", "replan", "show", "smooth",
 ]  # fmt: skip
 
 #: Which module defines each public name.
@@ -54,7 +56,9 @@ _HOMES = {
     "flockopt.outputs.pictures.drawing": ("show",),
     "flockopt.planning.pipeline": ("plan",),
     "flockopt.planning.handover": ("Changes",),
+    "flockopt.planning.planners": ("Planner", "Proposal"),
     "flockopt.planning.replan": ("replan",),
+    "flockopt.planning.settings": ("PlanSettings",),
     "flockopt.scene": ("Bounds", "Box", "Cylinder", "Drone", "Origin", "Scene", "Sphere", "Task"),
     "flockopt.scene.families.generate": ("generate",),
     "flockopt.travel": ("Travel",),

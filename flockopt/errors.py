@@ -6,7 +6,10 @@ come back as statuses.
 
 from __future__ import annotations
 
-__all__ = ["FieldError", "FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed"]
+from importlib import import_module
+from typing import Any
+
+__all__ = ["FieldError", "FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed", "require"]
 
 
 class FlockError(Exception):
@@ -58,6 +61,23 @@ class MissingExtra(FlockError, ImportError):
         self.package, self.extra = package, extra
         mend = f"pip install 'flockopt[{extra}]', where it has a wheel (docs/installing.md)"
         super().__init__(f"{package} is not installed; it comes with the extra '{extra}'; {mend}")
+
+
+def require(module: str, extra: str, package: str = "") -> Any:
+    """A module of an optional dependency, imported when it is first asked for.
+
+    Args:
+        module: Its name, such as ``matplotlib.figure``.
+        extra: The extra of flockopt that brings it.
+        package: What pip calls it, where that is not the module's first name.
+
+    Raises:
+        MissingExtra: If it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtra(package or module.partition(".")[0], extra) from None
 
 
 class SolverFailed(FlockError, RuntimeError):

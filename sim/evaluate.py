@@ -17,9 +17,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flockopt import FlockError, SettingsError
+from flockopt import SettingsError
 from flockopt.batches.backends import BACKENDS
 from flockopt.batches.progress import ProgressBar
+from flockopt.cli.status import run_command
 from flockopt.planning.planners import ANY_ANGLE, find_planner
 from flockopt.records import checks, files
 from flockopt.scene.families.layouts import FAMILIES
@@ -41,11 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     words = sys.argv[1:] if argv is None else list(argv)
     options = _parser().parse_args(words, argparse.Namespace(words=words))
-    try:
-        return _evaluate(options)
-    except FlockError as fault:
-        print(f"sim.evaluate: {fault}", file=sys.stderr)
-        return 2
+    return run_command("sim.evaluate", lambda: _evaluate(options))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -148,9 +145,8 @@ def _trials(options: argparse.Namespace) -> list[Trial]:
     scenes = checks.integer(SettingsError, "scenes", options.scenes, least=1)
     seed = checks.integer(SettingsError, "seed", options.seed, least=0)
     options.jobs = checks.integer(SettingsError, "jobs", options.jobs, least=1)
-    find_planner(options.planner, options.paths)
-    if options.backend not in BACKENDS:
-        raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
+    find_planner(options.planner).check(options.paths)
+    checks.choice(SettingsError, "backend", options.backend, known=BACKENDS)
     if options.time_limit is not None:
         checks.number(SettingsError, "time-limit", options.time_limit, above=0.0)
     margin_m = checks.number(SettingsError, "tracking-margin", options.tracking_margin, least=0.0)

@@ -9,11 +9,12 @@ with the reason why it was not served counts as accounted for.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flockopt import FlockError, Plan, Scene
+from flockopt import Plan, Scene
+from flockopt.cli.status import run_command
+from flockopt.records.status import Status
 from sim.evaluate import add_event_options, add_flight_options, event_settings, flight_settings
 from sim.mission.events import Event, schedule
 from sim.mission.execution import Execution
@@ -27,23 +28,23 @@ __all__ = ["main"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    try:
-        scene, plan = Scene.load(options.scene), Plan.load(options.plan)
-        happening = event_settings(options)
-        events = () if happening is None else schedule(scene, plan, options.seed, happening)
-        with Mission(
-            scene, plan, flight_settings(options), seed=options.seed, tracking_margin_m=TRACKING_MARGIN_M, force=options.force,
-            gui=options.gui,
-        ) as mission:  # fmt: skip
-            outcome = mission.fly(events)
-        flight = outcome.flight
-        if options.movie is not None:
-            save_movie(flight, options.movie)
-    except FlockError as fault:
-        print(f"sim.fly: {fault}", file=sys.stderr)
-        return 2
+    return run_command("sim.fly", lambda: _fly(options))
+
+
+def _fly(options: argparse.Namespace) -> int:
+    scene, plan = Scene.load(options.scene), Plan.load(options.plan)
+    happening = event_settings(options)
+    events = () if happening is None else schedule(scene, plan, options.seed, happening)
+    with Mission(
+        scene, plan, flight_settings(options), seed=options.seed, tracking_margin_m=TRACKING_MARGIN_M, force=options.force,
+        gui=options.gui,
+    ) as mission:  # fmt: skip
+        outcome = mission.fly(events)
+    flight = outcome.flight
+    if options.movie is not None:
+        save_movie(flight, options.movie)
     print("\n".join([*_account(flight), *(_events(events, outcome) if events else [])]))
-    is_complete = not outcome.unexplained if events else flight.outcome.completion == 1.0
+    is_complete = not outcome.unexplained if events else flight.measures.completion == 1.0
     return 0 if is_complete and not flight.touches else 1
 
 
@@ -60,24 +61,24 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _account(flight: Execution) -> list[str]:
-    outcome = flight.outcome
+    measures = flight.measures
     lines = [
-        f"completion      {outcome.completion:.1%} ({len(outcome.served)} of {flight.scene.num_tasks} tasks)",
+        f"completion      {measures.completion:.1%} ({len(measures.served)} of {flight.scene.num_tasks} tasks)",
         f"contacts        {len(flight.touches)}",
-        f"least clearance {_metres(outcome.min_clearance)}",
-        f"least distance  {_metres(outcome.min_separation)}",
-        f"tracking error  {1000.0 * outcome.mean_tracking_error:.1f} mm, {1000.0 * outcome.max_tracking_error:.1f} mm at most",
+        f"least clearance {_metres(measures.min_clearance)}",
+        f"least distance  {_metres(measures.min_separation)}",
+        f"tracking error  {1e3 * measures.mean_tracking_error:.1f} mm, {1e3 * measures.max_tracking_error:.1f} mm at most",
         f"energy          {flight.energy.sum():.1f} J",
         f"flown           {flight.times[-1]:.1f} s, {flight.real_time_factor:.0f} times faster than real time",
     ]
-    lines += [f"missed          {task} by {metres:.3f} m" for task, metres in outcome.missed.items()]
+    lines += [f"missed          {task} by {metres:.3f} m" for task, metres in measures.missed.items()]
     lines += [f"contact         {touch.drone} with {touch.other} at {touch.time:.2f} s" for touch in flight.touches]
     return lines
 
 
 def _events(events: Sequence[Event], outcome: MissionOutcome) -> list[str]:
     """What happened, and what came of it."""
-    certified = sum(answer.plan.status == "certified" for answer in outcome.answers)
+    certified = sum(answer.plan.status == Status.CERTIFIED for answer in outcome.answers)
     lines = [f"event           {event}" for event in events]
     lines.append(f"answers         {certified} of {len(outcome.answers)} certified, {len(outcome.swapped)} swapped in")
     return lines + [f"not served      {task}: {reason}" for task, reason in outcome.unserved.items()]

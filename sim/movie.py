@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flockopt.errors import MissingExtra, SettingsError
+from flockopt.errors import SettingsError, require
 from flockopt.outputs.pictures.style import drone_color
 from flockopt.outputs.pictures.top_view import draw_top_view
 from flockopt.records import files
@@ -63,12 +63,11 @@ class _Pixels:
 
 def _ground(scene: Scene) -> tuple[Image, _Pixels]:
     """The map without drones, and how to draw on it."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from PIL import Image
-    except ImportError:
-        raise MissingExtra("matplotlib", "show") from None
+    require("matplotlib", extra="show")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
     lower, upper = np.array(scene.bounds.lower), np.array(scene.bounds.upper)
     aspect = float((upper[1] - lower[1]) / (upper[0] - lower[0]))
     dpi = 100.0
@@ -102,7 +101,7 @@ def _frame(ground: Image, pixels: _Pixels, flight: Execution, moment: float) -> 
         color = getrgb(drone_color(i))
         made = flight.flights.get(drone.id)
         for visit in () if made is None else made.visits:
-            if visit.time <= moment and visit.task in flight.outcome.served:
+            if visit.time <= moment and visit.task in flight.measures.served:
                 _disc(draw, pixels(places[visit.task]), 0.7 * size, color)
         if np.isnan(flight.positions[now, i]).any():  # it was lost
             continue

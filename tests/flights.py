@@ -37,8 +37,7 @@ def check_flights(scene: Scene, flights: dict, limits_slack: float = 1e-9) -> No
         if record.id not in flights:
             continue
         curve = flights[record.id].curve
-        needs = np.full(len(scene.obstacles), record.radius + scene.clearance)
-        blocked = curve_clear(scene.obstacle_table, scene.obstacle_boxes, needs, curve.breakpoints, curve.coefficients)
+        blocked = curve_clear(scene.free_space(record.radius + scene.clearance), curve.breakpoints, curve.coefficients)
         assert blocked == -1
         control = control_points(curve.breakpoints, curve.coefficients, curve.coefficients.shape[2])
         limits = (record.max_speed, record.max_acceleration, record.max_jerk)

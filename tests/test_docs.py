@@ -11,8 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.dotted_names import MODULES, dangling, exists, runs, texts
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+#: Pages that say how things are now, and not how they were.
+MANUALS = [*PAGES, *sorted((ROOT / "learned/weights").glob("*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)")
 
@@ -82,6 +86,32 @@ def test_shell_examples(workplace, code, expected):
 def test_links_lead_somewhere(page):
     for target in LINK.findall(page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} points to {target}"
+
+
+@pytest.mark.parametrize("page", [page for page in MANUALS if page.name != "results.md"], ids=lambda page: page.stem)
+def test_pages_name_what_there_is(page):
+    text = page.read_text(encoding="utf-8")
+    assert dangling(text) == set()
+
+
+@pytest.mark.parametrize("package", ["flockopt", "learned", "sim", "benchmarks", "tests", "docs", "examples"])
+def test_sources_name_what_there_is(package):
+    paths = set((ROOT / package).rglob("*.py")) - {Path(__file__)}  # this file names what there is not, below
+    found = {path.relative_to(ROOT): set().union(*map(dangling, texts(path))) for path in paths}
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+def test_a_name_that_leads_nowhere_would_be_seen():
+    assert exists("flockopt.certify")
+    assert exists("flockopt.scene.Scene.sha256")
+    assert exists("sim.mission.mission.Mission.state")
+    assert not any(map(exists, ["flockopt.nothing", "flockopt.plan.nothing", "flockopt.scene.Scene.nothing", "nothing.plan"]))
+    assert runs("sim.live")
+    assert not runs("sim.live.page")
+    for module in (module for module in MODULES if "." in module):  # each as it would stand after a move
+        assert dangling(f"see `{module}_moved`, or run python -m {module}_moved") == {f"{module}_moved", f"-m {module}_moved"}
+    assert dangling("from sim.mission import mission, orders, nothing") == {"sim.mission.nothing"}
+    assert dangling("see sim/mission.py, and format flockopt.plan/1") == {"sim/mission.py"}
 
 
 def test_the_readme_is_short():

@@ -51,9 +51,16 @@ def test_every_extra_is_pinned(extra):
     assert names(PROJECT["optional-dependencies"][extra]) - {"torch"} <= names(pins("dev"))
 
 
+def asked_for(text):
+    """Package and extra of each optional package that a module asks for."""
+    yield from re.findall(r'MissingExtra\("([^"]+)", "([^"]+)"\)', text)
+    for module, extra, package in re.findall(r'\brequire\("([^"]+)", extra="([^"]+)"(?:, package="([^"]+)")?\)', text):
+        yield package or module.partition(".")[0], extra
+
+
 def test_a_missing_package_comes_with_the_extra_that_is_named():
-    named = {pair for path in SOURCES for pair in re.findall(r'MissingExtra\("([^"]+)", "([^"]+)"\)', path.read_text("utf-8"))}
-    assert len(named) > 5
+    named = {pair for path in SOURCES for pair in asked_for(path.read_text(encoding="utf-8"))}
+    assert {extra for _, extra in named} == set(PROJECT["optional-dependencies"]) - {"all"}
     for package, extra in named:
         assert package.lower() in names(PROJECT["optional-dependencies"][extra]), package
 

@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, NamedTuple, TypeVar
 
-from flockopt.errors import MissingExtra, SettingsError
+from flockopt.errors import SettingsError, require
+from flockopt.records import checks
 
-__all__ = ["BACKENDS", "Backend", "open_backend", "outcomes"]
+__all__ = ["BACKENDS", "Backend", "open_backend", "outcomes", "run_round"]
 
 Item = TypeVar("Item")
-Outcome = TypeVar("Outcome")
+Returned = TypeVar("Returned")
 
 
 class Backend(NamedTuple):
@@ -38,19 +39,17 @@ def open_backend(name: str, jobs: int) -> Iterator[Backend]:
         SettingsError: If there is no such backend.
         MissingExtra: If its package is not installed.
     """
-    if name not in BACKENDS:
-        raise SettingsError("backend", f"is {name!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
-    with BACKENDS[name](jobs) as backend:
+    with BACKENDS[checks.choice(SettingsError, "backend", name, known=BACKENDS)](jobs) as backend:
         yield backend
 
 
 def outcomes(
     place: Backend,
-    work: Callable[[Item], Outcome],
+    work: Callable[[Item], Returned],
     items: Sequence[Item],
     ahead: int,
     begun: Callable[[Item], object] = lambda item: None,
-) -> Iterator[Outcome]:
+) -> Iterator[Returned]:
     """What comes of each item, as it comes; within `open_backend`.
 
     Args:
@@ -74,6 +73,36 @@ def outcomes(
         yield from Parallel(batch_size=1)(handed_out(items[begin : begin + ahead]))
 
 
+def run_round(
+    name: str,
+    jobs: int,
+    work: Callable[[Item], Returned],
+    items: Sequence[Item],
+    take: Callable[[Returned], object],
+    *,
+    ahead: int,
+    begun: Callable[[Item], object] = lambda item: None,
+) -> bool:
+    """Do items until all are done or a worker dies: whether all are done.
+
+    Args:
+        name: One of `BACKENDS`.
+        jobs: How many workers.
+        work: What a worker does with an item.
+        items: All there is to do.
+        take: Told of what comes of each item, as it comes.
+        ahead: How many items are handed out beyond what has come back, at most.
+        begun: Told of every item that is handed out.
+    """
+    with open_backend(name, jobs) as place:
+        try:
+            for returned in outcomes(place, work, items, ahead, begun):
+                take(returned)
+        except place.deaths:
+            return False
+    return True
+
+
 @contextmanager
 def _processes(jobs: int) -> Iterator[Backend]:
     from joblib import parallel_config
@@ -94,11 +123,9 @@ def _threads(jobs: int) -> Iterator[Backend]:
 @contextmanager
 def _dask(jobs: int) -> Iterator[Backend]:
     """The cluster that the environment variable DASK_SCHEDULER_ADDRESS names, or workers of this machine."""
-    try:
-        from dask import config
-        from distributed import Client, KilledWorker, LocalCluster
-    except ImportError:
-        raise MissingExtra("distributed", "cluster") from None
+    require("distributed", extra="cluster")
+    from dask import config
+    from distributed import Client, KilledWorker, LocalCluster
     from joblib import parallel_config
 
     address = config.get("scheduler-address", None)
@@ -114,14 +141,11 @@ def _dask(jobs: int) -> Iterator[Backend]:
 @contextmanager
 def _ray(jobs: int) -> Iterator[Backend]:
     """The cluster that the environment variable RAY_ADDRESS names, or workers of this machine."""
-    try:
-        import ray
-        from ray.util.joblib import register_ray
-    except ImportError:
-        raise MissingExtra("ray", "cluster") from None
+    ray = require("ray", extra="cluster")
     import os
 
     from joblib import parallel_config
+    from ray.util.joblib import register_ray
 
     local: dict[str, Any] = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "include_dashboard": False}
     ray.init(log_to_driver=False, configure_logging=False, **local)

@@ -9,14 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
+from flockopt.records.status import BUNDLE_STATUSES, Status
 
 if TYPE_CHECKING:
     from flockopt.travel import Travel
 
-__all__ = ["Bound", "Bundles", "bundle_compactness", "insertion_cost", "tasks_per_drone_std"]
+__all__ = ["BOUND_EFFORTS", "Bound", "Bundles", "bundle_compactness", "insertion_cost", "tasks_per_drone_std"]
 
 Routes = Sequence[Sequence[int]]
+
+#: How hard a lower bound may be worked for: `flockopt.bundles.bounds.bounds.lower_bound` says by what.
+BOUND_EFFORTS = ("fast", "tight", "exact")
 
 
 @dataclass(frozen=True)
@@ -28,14 +33,20 @@ class Bundles:
     Attributes:
         routes: N tuples of task indices in visiting order.
         unserved: (task index, reason) of every task that no drone visits.
-        status: ``"feasible"``, ``"optimal"`` (proven) or ``"infeasible"`` (some task cannot be served).
+        status: One of `flockopt.records.status.BUNDLE_STATUSES`.
         reason: Why it is infeasible; empty otherwise.
     """
 
     routes: tuple[tuple[int, ...], ...]
     unserved: tuple[tuple[int, str], ...] = ()
-    status: str = "feasible"
+    status: Status = Status.FEASIBLE
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        if self.status not in BUNDLE_STATUSES:
+            rule = f"must be one of {', '.join(BUNDLE_STATUSES)}"
+            raise SettingsError("status", f"is {self.status!r}", rule, "correct its spelling")
+        object.__setattr__(self, "status", Status(self.status))
 
     def __getitem__(self, drone: int) -> tuple[int, ...]:
         return self.routes[drone]
@@ -59,7 +70,7 @@ class Bound:
     """A proven lower bound on the travel of every feasible allocation, with what proves it.
 
     Attributes:
-        kind: ``"rooted-forest"``, ``"held-karp-forest"`` or ``"ng-route"``.
+        kind: ``"rooted-forest"``, ``"held-karp-forest"``, ``"ng-route"`` or ``"optimum"``.
         value: Metres.
         dual: The vector from which anyone can recompute ``value`` (docs/certificate.md says how for each kind).
     """

@@ -6,6 +6,7 @@ import numpy as np
 
 from flockopt.bundles.bundles import Bundles
 from flockopt.bundles.request import RouteTuple
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
@@ -35,7 +36,7 @@ def explained(scene: Scene, travel: Travel, routes: RouteTuple) -> Bundles:
     unserved = tuple((task, _task_fault(scene, travel, task, short > 0)) for task in left)
     reasons = list(dict.fromkeys([*faults, *(reason for _, reason in unserved)]))
     named = reasons[:MOST_NAMED] + ["..."] * (len(reasons) > MOST_NAMED)
-    return Bundles(routes, unserved, "infeasible", "; ".join(named))
+    return Bundles(routes, unserved, Status.INFEASIBLE, "; ".join(named))
 
 
 def _end_fault(scene: Scene, travel: Travel, drone: int) -> str:

@@ -20,7 +20,7 @@ from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Point, Scene
 from flockopt.travel import Travel
 
-__all__ = ["RESOLUTION_M", "Case", "Nearest", "Worst", "check_names", "to_point"]
+__all__ = ["RESOLUTION_M", "JudgedCase", "Nearest", "Worst", "check_names", "to_point"]
 
 #: The margin of what cannot be measured, such as a cost that is missing.
 BEYOND_MEASURE = -1e12
@@ -52,7 +52,7 @@ def _check_known(field: str, name: str, known: set[str], kind: str) -> None:
 
 
 @dataclass(frozen=True)
-class Case:
+class JudgedCase:
     """A plan before the judge, with what several clauses look at."""
 
     scene: Scene

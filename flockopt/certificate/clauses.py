@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from flockopt.certificate.case import Case, Worst, to_point
+from flockopt.certificate.case import JudgedCase, Worst, to_point
 from flockopt.certificate.certificate import FLYABILITY, Clause
 from flockopt.certificate.engines import ENGINES
 from flockopt.certificate.flyability import judge_flyability
@@ -53,13 +53,13 @@ COST_TOLERANCE = 1e-6
 LIMITS = (("speed", "max_speed", "m/s"), ("acceleration", "max_acceleration", "m/s²"), ("jerk", "max_jerk", "m/s³"))
 
 
-def _coverage(case: Case) -> Clause:
+def _coverage(case: JudgedCase) -> Clause:
     faults = list(_coverage_faults(case))
     task, drone, detail = faults[0] if faults else (None, None, "")
     return Clause("coverage", not faults, float(-len(faults)), "tasks", task=task, drone=drone, detail=detail)
 
 
-def _coverage_faults(case: Case) -> Iterator[tuple[str | None, str | None, str]]:
+def _coverage_faults(case: JudgedCase) -> Iterator[tuple[str | None, str | None, str]]:
     """(task, drone, what is wrong) of every breach."""
     served = Counter(task for route in case.plan.routes.values() for task in route)
     for task in case.scene.tasks:
@@ -81,7 +81,7 @@ def _coverage_faults(case: Case) -> Iterator[tuple[str | None, str | None, str]]
                 yield late.task, drone.id, f"drone {drone.id} is at {late.task} before it has done with {early.task}"
 
 
-def _capacity(case: Case) -> Clause:
+def _capacity(case: JudgedCase) -> Clause:
     worst = Worst()
     for i, (drone, route) in enumerate(zip(case.scene.drones, case.routes, strict=True)):
         load = float(case.scene.demands[route].sum())
@@ -94,7 +94,7 @@ def _capacity(case: Case) -> Clause:
     return worst.clause("capacity", "fraction")
 
 
-def _start(case: Case) -> Clause:
+def _start(case: JudgedCase) -> Clause:
     worst = Worst()
     for i, drone in enumerate(case.scene.drones):
         flight = case.plan.flights.get(drone.id)
@@ -138,7 +138,7 @@ def _start_flying(worst: Worst, drone: Drone, curve: Curve, first: FloatArray, l
         worst.see(1.0 - away / VISIT_TOLERANCE_M, drone=drone.id, time=curve.end_time, place=to_point(last[0]), detail=detail)
 
 
-def _visits(case: Case) -> Clause:
+def _visits(case: JudgedCase) -> Clause:
     worst = Worst()
     tasks = {task.id: task for task in case.scene.tasks}
     for i, drone in enumerate(case.scene.drones):
@@ -154,7 +154,7 @@ def _visits(case: Case) -> Clause:
     return worst.clause("visits", "m", ROUNDING_M)
 
 
-def _continuity(case: Case) -> Clause:
+def _continuity(case: JudgedCase) -> Clause:
     worst = Worst()
     for drone, (times, _), (firsts, lasts) in zip(case.scene.drones, case.curves, case.states, strict=True):
         jumps = np.linalg.norm(firsts[1:] - lasts[:-1], axis=2) / STATE_TOLERANCES  # (K - 1, 3) in tolerances
@@ -168,7 +168,7 @@ def _continuity(case: Case) -> Clause:
     return worst.clause("continuity", "fraction")
 
 
-def _limits(case: Case) -> Clause:
+def _limits(case: JudgedCase) -> Clause:
     worst = Worst()
     for i, drone in enumerate(case.scene.drones):
         if drone.id not in case.plan.flights:
@@ -183,7 +183,7 @@ def _limits(case: Case) -> Clause:
     return worst.clause("limits", "fraction", LIMIT_TOLERANCE)
 
 
-def _bounds(case: Case) -> Clause:
+def _bounds(case: JudgedCase) -> Clause:
     worst = Worst()
     lower, upper = np.array(case.scene.bounds.lower), np.array(case.scene.bounds.upper)
     for i, drone in enumerate(case.scene.drones):
@@ -194,10 +194,10 @@ def _bounds(case: Case) -> Clause:
     return worst.clause("bounds", "m", BOUNDS_TOLERANCE_M)
 
 
-def _in_space(engine: str) -> dict[str, Callable[[Case], Clause]]:
+def _in_space(engine: str) -> dict[str, Callable[[JudgedCase], Clause]]:
     """The judges of clearance and separation that ask this engine."""
 
-    def clearance(case: Case) -> Clause:
+    def clearance(case: JudgedCase) -> Clause:
         worst, nearest = Worst(), ENGINES[engine].clearance(case)
         if nearest is not None:
             drone, obstacle = case.scene.drones[nearest.drone].id, case.scene.obstacles[nearest.other].id
@@ -205,7 +205,7 @@ def _in_space(engine: str) -> dict[str, Callable[[Case], Clause]]:
             worst.see(nearest.margin, drone=drone, obstacle=obstacle, time=nearest.time, place=nearest.place, detail=detail)
         return worst.clause("clearance", "m", CLEARANCE_TOLERANCE_M)
 
-    def separation(case: Case) -> Clause:
+    def separation(case: JudgedCase) -> Clause:
         worst, nearest = Worst(), ENGINES[engine].separation(case)
         if nearest is not None:
             one, other = case.scene.drones[nearest.drone].id, case.scene.drones[nearest.other].id
@@ -216,7 +216,7 @@ def _in_space(engine: str) -> dict[str, Callable[[Case], Clause]]:
     return {"clearance": clearance, "separation": separation}
 
 
-def _bound(case: Case) -> Clause:
+def _bound(case: JudgedCase) -> Clause:
     worst = Worst()
     try:
         proven = _proven(case)
@@ -228,7 +228,7 @@ def _bound(case: Case) -> Clause:
     return worst.clause("bound", "fraction", note="" if case.plan.cost.lower_bound is not None else "no bound is claimed")
 
 
-def _proven(case: Case) -> float | None:
+def _proven(case: JudgedCase) -> float | None:
     """The lower bound that the plan's proof proves, None where no bound is claimed."""
     if case.plan.cost.lower_bound is None:
         return None
@@ -240,7 +240,7 @@ def _proven(case: Case) -> float | None:
         raise fault.within("certificate.bound") from None
 
 
-def _figures(case: Case, proven: float | None) -> Iterator[tuple[str, float | None, float | None]]:
+def _figures(case: JudgedCase, proven: float | None) -> Iterator[tuple[str, float | None, float | None]]:
     """(name, claimed, recomputed) of every cost."""
     cost, travel = case.plan.cost, case.travel.total(case.routes)
     gap = None
@@ -266,7 +266,7 @@ def _error(claimed: float | None, actual: float | None) -> float:
     return abs(claimed - actual) / max(abs(actual), 1.0)
 
 
-JUDGES: dict[str, Callable[[Case], Clause]] = {
+JUDGES: dict[str, Callable[[JudgedCase], Clause]] = {
     "coverage": _coverage,
     "capacity": _capacity,
     "start": _start,

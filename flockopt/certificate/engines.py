@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flockopt.certificate import fcl_engine
-from flockopt.certificate.case import RESOLUTION_M, Case, Nearest
+from flockopt.certificate.case import RESOLUTION_M, JudgedCase, Nearest
 from flockopt.geometry.continuous import least_clearance, least_separation
-from flockopt.geometry.distances import bounding_boxes
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["ENGINES", "Engine"]
@@ -25,22 +24,21 @@ class Engine:
         separation: From drones to drones.
     """
 
-    clearance: Callable[[Case], Nearest | None]
-    separation: Callable[[Case], Nearest | None]
+    clearance: Callable[[JudgedCase], Nearest | None]
+    separation: Callable[[JudgedCase], Nearest | None]
 
 
-def _clearance(case: Case) -> Nearest | None:
-    table, nearest = case.scene.obstacle_table, None
-    boxes = bounding_boxes(table)
-    for i, drone in enumerate(case.scene.drones if len(table) else ()):
-        needs = np.full(len(table), drone.radius + case.scene.clearance)
-        margin, time, k = least_clearance(table, boxes, needs, *case.curves[i], RESOLUTION_M)
+def _clearance(case: JudgedCase) -> Nearest | None:
+    nearest = None
+    for i, drone in enumerate(case.scene.drones if case.scene.obstacles else ()):
+        space = case.scene.free_space(drone.radius + case.scene.clearance)
+        margin, time, k = least_clearance(space, *case.curves[i], RESOLUTION_M)
         if nearest is None or margin < nearest.margin:
             nearest = Nearest(margin, time, case.place(i, time), i, k)
     return nearest
 
 
-def _separation(case: Case) -> Nearest | None:
+def _separation(case: JudgedCase) -> Nearest | None:
     if case.scene.separation == 0.0:
         return None
     axes, nearest, least = np.array(case.scene.separation_axes), None, np.inf
@@ -53,7 +51,7 @@ def _separation(case: Case) -> Nearest | None:
     return nearest
 
 
-def _pairs_by_gap(case: Case, axes: FloatArray) -> Iterator[tuple[float, int, int]]:
+def _pairs_by_gap(case: JudgedCase, axes: FloatArray) -> Iterator[tuple[float, int, int]]:
     """Pairs of drones, nearest first, with a margin in metres that boxes around their whole curves leave at least."""
     lowers = np.array([control.min(axis=(0, 2)) for control in case.controls])  # (N, 3) m
     uppers = np.array([control.max(axis=(0, 2)) for control in case.controls])

@@ -23,7 +23,7 @@ import numpy as np
 from flockopt.certificate.case import RESOLUTION_M, Nearest
 from flockopt.certificate.motion_slices import Motion, Slices, motion, relative_slices, slices, taylor_shift
 from flockopt.certificate.plan_file import Plan
-from flockopt.errors import MissingExtra, SolverFailed
+from flockopt.errors import SolverFailed, require
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Box, Cylinder, Obstacle, Point, Scene
 
@@ -90,11 +90,7 @@ class _Gauge:
     """Measures distances from a point with FCL."""
 
     def __init__(self) -> None:
-        try:
-            import fcl
-        except ImportError:
-            raise MissingExtra("python-fcl", "trajectory") from None
-        self.fcl = fcl
+        self.fcl = require("fcl", extra="trajectory", package="python-fcl")
         self.probe = self.point()
 
     def point(self) -> Any:

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from flockopt.certificate.case import Case, Worst
+from flockopt.certificate.case import JudgedCase, Worst
 from flockopt.certificate.certificate import FLYABILITY, Clause
 from flockopt.geometry.bernstein import EXTREME_TOLERANCE, SMALL_SQUARE, derivative, largest_value, squared_norm
 from flockopt.records.arrays import FloatArray
@@ -26,7 +26,7 @@ TILT_TOLERANCE = 1e-10
 LEAST_UPWARD_MPS2 = 1e-6
 
 
-def judge_flyability(case: Case, tolerance: float) -> Clause:
+def judge_flyability(case: JudgedCase, tolerance: float) -> Clause:
     """Whether the drones whose mass, thrust or tilt the scene gives can fly as the plan asks, within a fraction of each."""
     worst, thrusts, tilts = Worst(), [GRAVITY_MPS2], [0.0]
     for i, drone in enumerate(case.scene.drones):

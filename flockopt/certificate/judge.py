@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from flockopt.bundles import Bound
-from flockopt.certificate.case import Case, Worst, check_names
+from flockopt.certificate.case import JudgedCase, Worst, check_names
 from flockopt.certificate.certificate import CLAUSES, FLYABILITY, Certificate, Clause
 from flockopt.certificate.clauses import JUDGES, _in_space
 from flockopt.certificate.engines import ENGINES
@@ -52,7 +52,7 @@ def certify(
         raise SettingsError("engine", f"is {engine!r}", f"must be one of {', '.join(ENGINES)}", "choose one")
     check_names(scene, plan)
     proof = bound if bound is not None else plan.certificate.bound if plan.certificate is not None else None
-    case = Case(scene, plan, compute_travel(scene) if travel is None else travel, proof)
+    case = JudgedCase(scene, plan, compute_travel(scene) if travel is None else travel, proof)
     judges = JUDGES | _in_space(engine)
     names = CLAUSES if not any(drone.has_abilities for drone in scene.drones) else (*CLAUSES, FLYABILITY)
     with np.errstate(over="ignore", invalid="ignore"):  # a hostile plan's overflows fail the clauses they are in
@@ -61,7 +61,7 @@ def certify(
         return Certificate(tuple(clauses), proof)
 
 
-def _wild_drone(case: Case) -> str | None:
+def _wild_drone(case: JudgedCase) -> str | None:
     """A drone whose curve reaches beyond all measure."""
     for drone, control in zip(case.scene.drones, case.controls, strict=True):
         if not np.abs(control).max() <= LARGEST_COORDINATE_M:

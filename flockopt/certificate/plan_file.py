@@ -9,7 +9,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -18,11 +18,11 @@ from flockopt.errors import PlanError
 from flockopt.flights import Curve, Flight, Visit
 from flockopt.records import checks, files
 from flockopt.records.arrays import FloatArray
+from flockopt.records.status import PLAN_STATUSES, Status
 
-__all__ = ["LARGEST_DEGREE", "STATUSES", "Cost", "Plan"]
+__all__ = ["LARGEST_DEGREE", "Cost", "Plan"]
 
 FORMAT = "flockopt.plan/1"
-STATUSES = ("certified", "uncertified", "infeasible")
 
 #: What a Crazyflie stores.
 LARGEST_DEGREE = 7
@@ -31,6 +31,9 @@ REQUIRED = (
     "format", "scene", "planner", "status", "routes", "unserved", "trajectories", "cost", "certificate", "timing",
 )  # fmt: skip
 
+
+#: A setting in a plan file.
+Setting: TypeAlias = str | float | bool | None
 
 #: Costs that are null where no bound is known.
 CLAIMS = ("lower_bound", "gap")
@@ -63,7 +66,7 @@ class Plan:
         scene_name: Name of the scene it is for.
         scene_sha256: Digest of that scene (`Scene.sha256`).
         planner: Who proposed it.
-        status: One of `STATUSES`.
+        status: One of `flockopt.records.status.PLAN_STATUSES`.
         routes: Task ids in visiting order by drone id; a drone left out serves none.
         unserved: Reason by id of every task that no drone serves.
         flights: By drone id, of the drones that move.
@@ -72,12 +75,13 @@ class Plan:
         timing: Seconds by stage.
         reason: Why it is infeasible; empty otherwise.
         episode_steps: In how many steps the planner made its allocation; None where all was allocated at once.
+        settings: What steered it, by name: plain values (`flockopt.planning.settings.PlanSettings`, and what the planner adds).
     """
 
     scene_name: str
     scene_sha256: str
     planner: str
-    status: str
+    status: Status
     routes: dict[str, tuple[str, ...]]
     unserved: dict[str, str]
     flights: dict[str, Flight]
@@ -86,12 +90,11 @@ class Plan:
     timing: dict[str, float] = field(default_factory=dict)
     reason: str = ""
     episode_steps: int | None = None
+    settings: dict[str, Setting] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.status not in STATUSES:
-            rule = f"must be one of {', '.join(STATUSES)}"
-            raise PlanError("status", f"is {checks.shown(self.status)}", rule, "correct its spelling")
-        if self.status == "infeasible" and self.flights:
+        object.__setattr__(self, "status", _status(self.status))
+        if self.status == Status.INFEASIBLE and self.flights:
             seen = f"has {len(self.flights)} of them"
             raise PlanError("trajectories", seen, "an infeasible plan has none", "remove them or correct the status")
         for index, flight in enumerate(self.flights.values()):
@@ -117,14 +120,14 @@ class Plan:
         """A plan from its JSON object, read strictly."""
         if isinstance(item, dict) and item.get("format", FORMAT) != FORMAT:
             raise PlanError("format", f"is {checks.shown(item['format'])}", f'must be "{FORMAT}"', "convert the file")
-        record = checks.keys(PlanError, item, REQUIRED, ("reason", "episode_steps"))
+        record = checks.keys(PlanError, item, REQUIRED, ("reason", "episode_steps", "settings"))
         name, digest = _nested("scene", record["scene"], _scene)
         certificate = record["certificate"]
         return cls(
             scene_name=name,
             scene_sha256=digest,
             planner=checks.text(PlanError, "planner", record["planner"]),
-            status=checks.text(PlanError, "status", record["status"]),
+            status=_status(record["status"]),
             routes=_table("routes", "drone", checks.objects(PlanError, "routes", record["routes"], _route)),
             unserved=_table("unserved", "task", checks.objects(PlanError, "unserved", record["unserved"], _unserved)),
             flights=_table(
@@ -137,6 +140,7 @@ class Plan:
             episode_steps=checks.integer(PlanError, "episode_steps", record["episode_steps"], least=0)
             if "episode_steps" in record
             else None,
+            settings=_nested("settings", record["settings"], _settings) if "settings" in record else {},
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -154,7 +158,15 @@ class Plan:
             "timing": {stage: float(seconds) for stage, seconds in self.timing.items()},
         }
         steps = {} if self.episode_steps is None else {"episode_steps": self.episode_steps}
-        return record | steps | ({"reason": self.reason} if self.reason else {})
+        settings = {"settings": dict(self.settings)} if self.settings else {}
+        return record | settings | steps | ({"reason": self.reason} if self.reason else {})
+
+
+def _status(word: Any) -> Status:
+    if word not in PLAN_STATUSES:
+        rule = f"must be one of {', '.join(PLAN_STATUSES)}"
+        raise PlanError("status", f"is {checks.shown(word)}", rule, "correct its spelling")
+    return Status(word)
 
 
 def _plain(value: float | None) -> float | None:
@@ -262,6 +274,16 @@ def _cost(item: Any) -> Cost:
     sure = {name: checks.number(PlanError, name, record[name], least=0.0) for name in ("length", "travel", "makespan")}
     claims = {name: None if record[name] is None else checks.number(PlanError, name, record[name]) for name in CLAIMS}
     return Cost(sure["length"], sure["travel"], claims["lower_bound"], claims["gap"], sure["makespan"])
+
+
+def _settings(item: Any) -> dict[str, Setting]:
+    if not isinstance(item, dict):
+        raise PlanError("", f"is {checks.shown(item)}", "must be an object of plain values by name", "put it in braces")
+    for name, value in item.items():
+        if isinstance(value, (list, dict)):
+            rule = "must be a text, a number, true, false or null"
+            raise PlanError(name, f"is {checks.shown(value)}", rule, "leave it out")
+    return dict(item)
 
 
 def _timing(item: Any) -> dict[str, float]:

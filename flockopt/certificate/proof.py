@@ -6,11 +6,14 @@ is below the travel of every feasible allocation: a wrong vector proves less, ne
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from flockopt.bundles import Bound
+from flockopt.certificate.optimum import Offers, least_travel
 from flockopt.errors import PlanError
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
@@ -21,12 +24,16 @@ __all__ = ["KINDS", "recompute_bound"]
 #: Tasks in an ng-neighbourhood, itself included: part of what the kind ``ng-route`` means.
 NG_NEIGHBOURS = 8
 
+#: A route may be longer than ``max_distance`` by this share: as much as the clause that judges it lets pass, and more.
+LENGTH_TOLERANCE = 1e-5
+
 
 def recompute_bound(scene: Scene, travel: Travel, proof: Bound) -> float:
-    """The bound that a proof proves, metres; ``proof.value`` is not looked at.
+    """The bound that a proof proves, metres; ``proof.value`` is not believed, and looked at by the kind ``optimum`` only.
 
     Raises:
-        PlanError: If the kind is unknown, or the vector has the wrong length or entries that are not finite.
+        PlanError: If the kind is unknown, the vector has the wrong length or entries that are not finite, or there is too
+            much to recheck.
     """
     if proof.kind not in KINDS:
         raise PlanError("kind", f"is {proof.kind!r}", f"must be one of {', '.join(KINDS)}", "prove the bound anew")
@@ -37,14 +44,14 @@ def recompute_bound(scene: Scene, travel: Travel, proof: Bound) -> float:
         raise PlanError("dual", f"has shape {dual.shape}", f"must have shape ({wanted},)", "prove the bound anew")
     if not np.isfinite(dual).all():
         raise PlanError("dual", "holds a NaN or an infinity", "must be finite", "prove the bound anew")
-    return evaluate(scene, travel, np.maximum(dual, 0.0)) if scene.num_tasks else 0.0
+    return evaluate(scene, travel, np.maximum(dual, 0.0), proof.value) if scene.num_tasks else 0.0
 
 
-def _rooted_forest(scene: Scene, travel: Travel, dual: FloatArray) -> float:
+def _rooted_forest(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> float:
     return _forest_weight(*_forest_costs(scene, travel))
 
 
-def _held_karp_forest(scene: Scene, travel: Travel, dual: FloatArray) -> float:
+def _held_karp_forest(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> float:
     """The forest under task prices (M,) and start prices (N,), less what a legal route would pay of them."""
     prices, start_prices = dual[: scene.num_tasks], dual[scene.num_tasks :]
     starts, between = _forest_costs(scene, travel, start_prices)
@@ -73,21 +80,29 @@ def _forest_weight(roots: FloatArray, between: FloatArray) -> float:
     return weight
 
 
-def _ng_route(scene: Scene, travel: Travel, dual: FloatArray) -> float:
+def _ng_route(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> float:
     """Prices (M,) of the tasks, plus what each drone makes of them on its cheapest ng-route."""
-    total = float(dual.sum())
+    return float(dual.sum()) + sum(offer.least for offer in _offers(scene, travel, dual))
+
+
+def _optimum(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> float:
+    """The claim itself where no allocation of routes that the prices (M,) leave over is below it."""
+    return least_travel(list(_offers(scene, travel, dual)), dual, scene.demands.astype(np.int64), claim)
+
+
+def _offers(scene: Scene, travel: Travel, dual: FloatArray) -> Iterator[Offers]:
+    """What each drone can do under prices (M,)."""
     demands = scene.demands.astype(np.int64)
     loads = np.minimum(scene.capacities, scene.demands.sum()).astype(np.int64)
     known: dict[tuple[int, bytes], FloatArray] = {}  # drones with one matrix and one end share their routes
-    for drone in range(scene.num_drones):
-        kind, ends = int(travel.drone_class[drone]), np.ascontiguousarray(travel.task_end[drone])
-        key = (kind, ends.tobytes())
+    for index, drone in enumerate(scene.drones):
+        kind, ends = int(travel.drone_class[index]), np.ascontiguousarray(travel.task_end[index])
+        between, key = np.ascontiguousarray(travel.task_task[kind]), (kind, ends.tobytes())
         if key not in known:
-            between = np.ascontiguousarray(travel.task_task[kind])
             known[key] = _cheapest_rests(between, ends, dual, demands, int(loads.max()), *_neighbours(between))
-        routes = travel.start_task[drone] + known[key][loads[drone]]
-        total += min(float(travel.start_end[drone]), float(routes.min()))
-    return total
+        longest = np.inf if drone.max_distance is None else drone.max_distance * (1.0 + LENGTH_TOLERANCE)
+        starts, idle = np.ascontiguousarray(travel.start_task[index]), float(travel.start_end[index])
+        yield Offers(starts, between, ends, known[key], int(loads[index]), idle, longest)
 
 
 def _neighbours(between: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -151,4 +166,5 @@ KINDS = {
     "rooted-forest": (_rooted_forest, lambda scene: 0),
     "held-karp-forest": (_held_karp_forest, lambda scene: scene.num_tasks + scene.num_drones),
     "ng-route": (_ng_route, lambda scene: scene.num_tasks),
+    "optimum": (_optimum, lambda scene: scene.num_tasks),
 }

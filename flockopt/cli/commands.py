@@ -13,6 +13,7 @@ from flockopt.batches.progress import StageLine
 from flockopt.cli import text
 from flockopt.errors import MissingExtra, PlanError, SceneError, SettingsError
 from flockopt.records import files
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 
 if TYPE_CHECKING:
@@ -28,26 +29,21 @@ def plan(options: argparse.Namespace) -> int:
     for path in options.show:
         _check_drawable("--show", path)
     from flockopt.planning.pipeline import plan as plan_scene  # late: compiled code takes a second to load
+    from flockopt.planning.settings import PlanSettings
 
+    settings = PlanSettings(
+        planner=options.planner, time_limit_s=options.time_limit, seed=options.seed, bound=options.bound,
+        smoothing=options.smooth, tracking_margin_m=options.tracking_margin, paths=options.paths, backend=options.backend,
+    )  # fmt: skip
     with StageLine(quiet=options.quiet) as progress:
-        result = plan_scene(
-            scene,
-            planner=options.planner,
-            paths=options.paths,
-            time_limit_s=options.time_limit,
-            seed=options.seed,
-            bound=options.bound,
-            smoothing=options.smooth,
-            tracking_margin_m=options.tracking_margin,
-            progress=progress,
-        )
+        result = plan_scene(scene, settings, progress=progress)
         result.save(options.output)
         for path in options.show:
             progress(f"drawing {path}", 0.0)
             _draw(scene, path, result)
     if not options.quiet:
         text.emit(text.plan_report(scene, result))
-    return 0 if result.status == "certified" else 1
+    return 0 if result.status == Status.CERTIFIED else 1
 
 
 def verify(options: argparse.Namespace) -> int:

@@ -9,12 +9,10 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from flockopt.errors import FlockError, SettingsError
+from flockopt.cli.status import INTERRUPTED, refuse, run_command
+from flockopt.errors import SettingsError
 
 __all__ = ["main"]
-
-BAD_INPUT = 2
-INTERRUPTED = 130
 
 STATUSES = """exit status: 0 all is well; 1 the plan is not certified, the scene is infeasible, or the plan does not fit the
 device (the output says why); 2 bad input (one line on stderr says what and how to mend it; nothing is written)"""
@@ -22,7 +20,8 @@ device (the output says why); 2 bad input (one line on stderr says what and how 
 PLAN_EXAMPLES = """examples:
   flockopt plan scene.json -o plan.json
   flockopt plan scene.json -o plan.json --show plan.png --show plan.html
-  flockopt plan scene.json -o plan.json --time-limit 5 --bound tight --seed 3"""
+  flockopt plan scene.json -o plan.json --time-limit 5 --bound tight --seed 3
+  flockopt plan scene.json -o plan.json --planner exact    the least travel, with a proof that verify checks again"""
 
 VERIFY_EXAMPLES = """Nothing in the plan's own certificate is believed: coverage, capacities, limits, clearances,
 separations and the lower bound are computed anew, in continuous time, from the scene and the plan's polynomials.
@@ -67,19 +66,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        options = _parser().parse_args(argv)
-        status: int = options.run(options)
-    except FlockError as fault:
-        return _refuse(str(fault), BAD_INPUT)
+        return run_command("flockopt", lambda: _run(argv))
     except KeyboardInterrupt:
-        return _refuse("interrupted; no output was written after this point", INTERRUPTED)
-    return status
+        return refuse("flockopt", "interrupted; no output was written after this point", INTERRUPTED)
 
 
-def _refuse(message: str, status: int) -> int:
-    from flockopt.cli.text import printable
-
-    print(f"flockopt: {printable(message)}", file=sys.stderr)
+def _run(argv: Sequence[str] | None) -> int:
+    options = _parser().parse_args(argv)
+    status: int = options.run(options)
     return status
 
 
@@ -132,8 +126,10 @@ def _add_plan(commands: argparse._SubParsersAction) -> None:
     plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
     plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
     plan.add_argument(
-        "--planner", metavar="NAME", help="which planner (default: hybrid where its weights and torch are, else classical)"
-    )
+        "--planner", metavar="NAME",
+        help="who proposes: classical (search), exact (the optimum, proven), ortools, or one that an installed package adds, "
+        "such as hybrid, learned and teacher (default: the best that is ready)",
+    )  # fmt: skip
     plan.add_argument(
         "--paths", default="any-angle", metavar="KIND",
         help="what drones fly along: any-angle, the shortest (default); some planners also know voxel26 and voxel6",
@@ -144,6 +140,7 @@ def _add_plan(commands: argparse._SubParsersAction) -> None:
         "--bound", default="tight", metavar="KIND", choices=("fast", "tight", "exact"),
         help="how hard to work for the lower bound: fast, tight or exact (default: tight)",
     )  # fmt: skip
+    plan.add_argument("--backend", metavar="NAME", help="what computes a planner's networks (default: the best installed)")
     plan.add_argument("--smooth", action="store_true", help="smooth the flights: done earlier, with less jerk (needs casadi)")
     plan.add_argument(
         "--tracking-margin", type=_metres, default=0.0, metavar="M",

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from flockopt.records.status import Status
+
 if TYPE_CHECKING:
     from flockopt.certificate import Certificate, Clause, Plan
     from flockopt.outputs.devices.export import Export
@@ -46,14 +48,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[
 
 def plan_report(scene: Scene, plan: Plan) -> str:
     """Per drone its tasks, metres and seconds; then cost, bound and gap; then the certificate."""
-    parts = [_drone_table(scene, plan)] if plan.status != "infeasible" else []
+    parts = [_drone_table(scene, plan)] if plan.status != Status.INFEASIBLE else []
     if plan.unserved:
         parts.append(table(("unserved task", "reason"), sorted(plan.unserved.items())))
-    if plan.status != "infeasible":
+    if plan.status != Status.INFEASIBLE:
         parts.append(_cost_lines(plan))
     if plan.certificate is not None:
         parts.append(certificate_report(plan.certificate))
-    if plan.status == "infeasible":
+    if plan.status == Status.INFEASIBLE:
         parts.append(printable(f"infeasible: {plan.reason}"))
     parts.append(printable(f"{scene.name}, planned in {plan.timing.get('total', 0.0):.2f} s by {plan.planner}"))
     return "\n\n".join(parts)
@@ -73,6 +75,8 @@ def _cost_lines(plan: Plan) -> str:
     cost = plan.cost
     bound = "none" if cost.lower_bound is None else f"{cost.lower_bound:.2f} m"
     gap = "none" if cost.gap is None else f"{cost.gap:.2%}"
+    if plan.certificate is not None and plan.certificate.bound is not None and plan.certificate.bound.kind == "optimum":
+        gap += ": no allocation travels less, and that is proven"
     return "\n".join(
         (
             f"length    {cost.length:.2f} m flown in {cost.makespan:.2f} s",
@@ -98,7 +102,7 @@ def export_report(plan: Plan, path: str, outcome: Export) -> str:
         lines = [*outcome.misfits, "nothing was written"]
     else:
         lines = [f"{path}: {', '.join(outcome.files)}"]
-        if plan.status != "certified":
+        if plan.status != Status.CERTIFIED:
             lines.append(f"warning: the plan is {plan.status}; do not fly it before `flockopt verify` holds")
     return "\n".join(printable(line) for line in lines)
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flockopt.flights.waypoints import Waypoints
-from flockopt.geometry.distances import bounding_boxes, distances
+from flockopt.geometry.distances import distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Scene
+
+if TYPE_CHECKING:
+    from flockopt.geometry.free_space import FreeSpace
 
 __all__ = ["MOST_PIECES", "Room"]
 
@@ -28,11 +32,7 @@ MOST_PIECES = 31
 class Room:
     """What one drone's curve must keep to."""
 
-    table: FloatArray  # (K, 9)
-    boxes: FloatArray  # (K, 2, 3) m
-    needs: FloatArray  # (K,) m
-    lower: FloatArray  # (3,) m
-    upper: FloatArray  # (3,) m
+    space: FreeSpace
     limits: FloatArray  # (3,) speed, acceleration, jerk
     velocity: FloatArray  # (3,) m/s at the start
     acceleration: FloatArray  # (3,) m/s2 at the start
@@ -45,11 +45,8 @@ class Room:
     @classmethod
     def around(cls, scene: Scene, drone: Drone, waypoints: Waypoints, avoided: FloatArray | None = None) -> Room:
         """The room of a drone that follows ``waypoints``, clear of the (K, 9) obstacle rows ``avoided`` too."""
-        table, boxes = scene.obstacle_table, scene.obstacle_boxes
-        if avoided is not None and len(avoided):
-            table = np.vstack([table, avoided])
-            boxes = bounding_boxes(table)
-        return cls._within(scene, drone, table, boxes, distances(table, waypoints.points).min(axis=0))
+        table = scene.obstacle_table if avoided is None else np.vstack([scene.obstacle_table, avoided])
+        return cls._within(scene, drone, table, distances(table, waypoints.points).min(axis=0))
 
     @classmethod
     def of_fleet(cls, scene: Scene, ways: Mapping[int, Waypoints]) -> dict[int, Room]:
@@ -59,20 +56,19 @@ class Room:
         first = np.concatenate([[0], np.cumsum([len(part) for part in points], dtype=np.int64)])[:-1]
         least = np.minimum.reduceat(gaps, first, axis=0) if points else gaps
         return {
-            index: cls._within(scene, scene.drones[index], scene.obstacle_table, scene.obstacle_boxes, row)
+            index: cls._within(scene, scene.drones[index], scene.obstacle_table, row)
             for index, row in zip(ways, least, strict=True)
         }
 
     @classmethod
-    def _within(cls, scene: Scene, drone: Drone, table: FloatArray, boxes: FloatArray, gaps: FloatArray) -> Room:
-        """The room of a drone whose waypoints come within ``gaps`` (K,) m of the obstacles."""
+    def _within(cls, scene: Scene, drone: Drone, table: FloatArray, gaps: FloatArray) -> Room:
+        """The room of a drone whose waypoints come within ``gaps`` (K,) m of the obstacles in ``table`` (K, 9)."""
+        from flockopt.geometry.free_space import free_space
+
         need = drone.radius + scene.clearance
+        needs = need + np.clip(0.2 * (gaps - need), 0.0, ROOM_RESERVE_M)
         return cls(
-            table=table,
-            boxes=boxes,
-            needs=need + np.clip(0.2 * (gaps - need), 0.0, ROOM_RESERVE_M),
-            lower=np.array(scene.bounds.lower),
-            upper=np.array(scene.bounds.upper),
+            space=free_space(table, needs, (scene.bounds.lower, scene.bounds.upper)),
             limits=LIMIT_SHARE * np.array([drone.max_speed, drone.flyable_acceleration, drone.max_jerk]),
             velocity=np.array(drone.velocity),
             acceleration=np.array(drone.acceleration),

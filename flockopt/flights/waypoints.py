@@ -18,11 +18,11 @@ from flockopt.errors import SettingsError
 from flockopt.flights.curve import Visit
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
-from flockopt.travel import END, START, Travel
+from flockopt.travel import Travel
+from flockopt.travel.travel import stops_of
 
 __all__ = [
-    "FLY_THROUGH", "Waypoints", "anchored_legs", "check_samples", "leg_clear", "thinned", "waypoints_from_paths",
-    "waypoints_from_samples",
+    "FLY_THROUGH", "Waypoints", "anchored_legs", "check_samples", "leg_clear", "waypoints_from_paths", "waypoints_from_samples",
 ]  # fmt: skip
 
 #: The value of `Waypoints.rest_s` that asks for no stop.
@@ -93,7 +93,7 @@ def waypoints_from_paths(scene: Scene, travel: Travel, drone: int, route: Sequen
     Raises:
         SettingsError: If there is no way between two of them.
     """
-    stops = [START, *route] + ([END] if scene.drones[drone].end_point is not None else [])
+    stops = stops_of(scene, drone, route)
     if len(stops) == 1:
         return Waypoints(scene.starts[drone : drone + 1], np.zeros(1), ((),))
     legs = [travel.path(drone, *pair) for pair in pairwise(stops)]
@@ -126,15 +126,16 @@ def waypoints_from_samples(scene: Scene, travel: Travel, drone: int, route: Sequ
 
     Where a leg through the samples is blocked, the any-angle path takes its place.
     """
+    from flockopt.geometry.polylines import thinned
+
     detour = waypoints_from_paths(scene, travel, drone, route)
     if not detour.moves:
         return detour
-    stops = [START, *route] + ([END] if scene.drones[drone].end_point is not None else [])
     tolerance = CHORD_TOLERANCE * scene.drones[drone].radius
     legs = []
-    for index, raw in enumerate(anchored_legs(scene, drone, route, samples)):
+    for raw, stops in zip(anchored_legs(scene, drone, route, samples), pairwise(stops_of(scene, drone, route)), strict=True):
         leg = thinned(raw, tolerance)
-        legs.append(leg if leg_clear(scene, drone, leg) else travel.path(drone, stops[index], stops[index + 1]))
+        legs.append(leg if leg_clear(scene, drone, leg) else travel.path(drone, *stops))
     return Waypoints.join(scene, route, legs)
 
 
@@ -172,26 +173,9 @@ def _ordered_matches(anchors: FloatArray, samples: FloatArray) -> list[int]:
     return places[::-1]
 
 
-def thinned(points: FloatArray, tolerance: float) -> FloatArray:
-    """The polyline without points closer than ``tolerance`` to it (Ramer 1972, Douglas and Peucker 1973)."""
-    if len(points) < 3:
-        return points
-    chord = points[-1] - points[0]
-    offset = points[1:-1] - points[0]
-    share = np.clip(offset @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
-    gaps = np.linalg.norm(offset - share[:, None] * chord, axis=1)
-    worst = int(gaps.argmax())
-    if gaps[worst] <= tolerance:
-        return points[[0, -1]]
-    head, tail = thinned(points[: worst + 2], tolerance), thinned(points[worst + 1 :], tolerance)
-    return np.vstack([head[:-1], tail])
-
-
 def leg_clear(scene: Scene, drone: int, leg: FloatArray) -> bool:
     """Whether a polyline (V, 3) stays within bounds and as far from all obstacles as the drone must."""
-    from flockopt.geometry.kernels import polyline_clear
+    from flockopt.geometry.free_space import polyline_free
 
-    if (leg < scene.bounds.lower).any() or (leg > scene.bounds.upper).any():
-        return False
-    needs = np.full(len(scene.obstacles), scene.drones[drone].radius + scene.clearance)
-    return bool(polyline_clear(scene.obstacle_table, scene.obstacle_boxes, needs, np.ascontiguousarray(leg)))
+    space = scene.free_space(scene.drones[drone].radius + scene.clearance)
+    return bool(polyline_free(space, np.ascontiguousarray(leg)))

@@ -14,7 +14,6 @@ from numba import njit, types
 
 from flockopt.geometry.bernstein import (
     ARRAY_1,
-    ARRAY_2,
     ARRAY_3,
     BINOMIAL,
     SMALL_SQUARE,
@@ -23,6 +22,7 @@ from flockopt.geometry.bernstein import (
     largest_value,
     squared_norm,
 )
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.intervals import (
     box_gap,
     end_norm,
@@ -52,34 +52,29 @@ def parked(position: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(cache=True)
-def _nearest_breakpoint(
-    table: FloatArray, boxes: FloatArray, needs: FloatArray, breakpoints: FloatArray, control: FloatArray
-) -> tuple[float, float, int]:
+def _nearest_breakpoint(space: FreeSpace, breakpoints: FloatArray, control: FloatArray) -> tuple[float, float, int]:
     """The least margin at the pieces' ends, a good first guess of the least of all: margin, time, obstacle."""
     best, time, nearest = np.inf, breakpoints[0], -1
     point = np.empty((2, 3))
     for p in range(control.shape[0] + 1):
         for axis in range(3):
             point[:, axis] = control[p, axis, 0] if p < control.shape[0] else control[p - 1, axis, -1]
-        for k in range(table.shape[0]):
-            if box_gap(point, boxes[k]) - needs[k] < best:
-                margin = point_distance(table[k], point[0, 0], point[0, 1], point[0, 2]) - needs[k]
+        for k in range(space.table.shape[0]):
+            if box_gap(point, space.boxes[k]) - space.needs[k] < best:
+                margin = point_distance(space.table[k], point[0, 0], point[0, 1], point[0, 2]) - space.needs[k]
                 if margin < best:
                     best, time, nearest = margin, breakpoints[p], k
     return best, time, nearest
 
 
-@njit(VALUE_TIME_INDEX(ARRAY_2, ARRAY_3, ARRAY_1, ARRAY_1, ARRAY_3, types.float64), cache=True)
+@njit(VALUE_TIME_INDEX(FREE_SPACE, ARRAY_1, ARRAY_3, types.float64), cache=True)
 def least_clearance(
-    table: FloatArray, boxes: FloatArray, needs: FloatArray, breakpoints: FloatArray, coefficients: FloatArray,
-    tolerance: float,
-) -> tuple[float, float, int]:  # fmt: skip
+    space: FreeSpace, breakpoints: FloatArray, coefficients: FloatArray, tolerance: float
+) -> tuple[float, float, int]:
     """By how much a curve clears every obstacle at its worst, over all time.
 
     Args:
-        table: (K, 9) obstacle rows.
-        boxes: (K, 2, 3) m, their bounding boxes (`flockopt.geometry.distances.bounding_boxes`).
-        needs: (K,) m, the distance to keep from each.
+        space: What to keep clear of; its bounds do not count.
         breakpoints: (P + 1,) s.
         coefficients: (P, 3, D).
         tolerance: Metres the answer may lie below the true margin; it never lies above.
@@ -92,14 +87,15 @@ def least_clearance(
     control = control_points(breakpoints, coefficients, num_terms)
     stack, spans = new_stack(num_terms)
     box = np.empty((2, 3))
-    best, time, nearest = _nearest_breakpoint(table, boxes, needs, breakpoints, control)
+    best, time, nearest = _nearest_breakpoint(space, breakpoints, control)
     proven = best
     for p in range(control.shape[0]):
         fit_box(control[p], box)
-        for k in range(table.shape[0]):
-            if box_gap(box, boxes[k]) - needs[k] >= best:
+        for k in range(space.table.shape[0]):
+            row, need = space.table[k], space.needs[k]
+            if box_gap(box, space.boxes[k]) - need >= best:
                 continue
-            margin, where, bound = least_clearance_below(control[p], table[k], needs[k], best, tolerance, -np.inf, stack, spans)
+            margin, where, bound = least_clearance_below(control[p], row, need, best, tolerance, -np.inf, stack, spans)
             proven = min(proven, bound)
             if where >= 0.0:
                 best, nearest = margin, k
@@ -107,10 +103,8 @@ def least_clearance(
     return min(best, proven), time, nearest
 
 
-@njit(types.int64(ARRAY_2, ARRAY_3, ARRAY_1, ARRAY_1, ARRAY_3), cache=True)
-def curve_clear(
-    table: FloatArray, boxes: FloatArray, needs: FloatArray, breakpoints: FloatArray, coefficients: FloatArray
-) -> int:
+@njit(types.int64(FREE_SPACE, ARRAY_1, ARRAY_3), cache=True)
+def curve_clear(space: FreeSpace, breakpoints: FloatArray, coefficients: FloatArray) -> int:
     """Index of the first piece that is too near to an obstacle (see `GRAZING_M`), or -1; arguments as in `least_clearance`."""
     num_terms = coefficients.shape[2]
     control = control_points(breakpoints, coefficients, num_terms)
@@ -119,10 +113,11 @@ def curve_clear(
     graze = 0.5 * GRAZING_M
     for p in range(control.shape[0]):
         fit_box(control[p], box)
-        for k in range(table.shape[0]):
-            if box_gap(box, boxes[k]) >= needs[k]:
+        for k in range(space.table.shape[0]):
+            row, need = space.table[k], space.needs[k]
+            if box_gap(box, space.boxes[k]) >= need:
                 continue
-            least, _, _ = least_clearance_below(control[p], table[k], needs[k], 0.0, graze, -graze, stack, spans)
+            least, _, _ = least_clearance_below(control[p], row, need, 0.0, graze, -graze, stack, spans)
             if least < -graze:
                 return p
     return -1

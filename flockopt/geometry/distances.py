@@ -8,23 +8,24 @@ segment it has one minimum.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from flockopt.records.arrays import FloatArray
 
-if TYPE_CHECKING:
-    pass
-
-__all__ = ["BOX", "CYLINDER", "OBSTACLE_COLUMNS", "SPHERE", "bounding_boxes", "distances", "surface_normals"]
+__all__ = [
+    "BOX", "COS_YAW", "CYLINDER", "HALF_X", "HALF_Y", "HALF_Z", "OBSTACLE_COLUMNS", "SHAPE", "SIN_YAW", "SPHERE", "X", "Y", "Z",
+    "bounding_boxes", "distances", "surface_normals",
+]  # fmt: skip
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 
 #: What the nine columns of an obstacle table hold. A cylinder has half_x = half_y = radius; a sphere has
 #: half_x = half_y = half_z = radius.
 OBSTACLE_COLUMNS = ("shape", "x", "y", "z", "half_x", "half_y", "half_z", "cos_yaw", "sin_yaw")
+
+#: Where they are: a place's three columns begin at `X`, the half sizes' at `HALF_X`.
+SHAPE, X, Y, Z, HALF_X, HALF_Y, HALF_Z, COS_YAW, SIN_YAW = range(len(OBSTACLE_COLUMNS))
 
 
 def distances(table: FloatArray, points: ArrayLike) -> FloatArray:
@@ -38,7 +39,7 @@ def distances(table: FloatArray, points: ArrayLike) -> FloatArray:
         (P, K) m, negative inside.
     """
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    shape, halves = table[:, 0], table[:, 4:7]
+    shape, halves = table[:, SHAPE], table[:, HALF_X : HALF_Z + 1]
     local = _to_local(table, points)  # (P, K, 3)
     flat = np.hypot(local[..., 0], local[..., 1])  # (P, K) horizontal distance from the axis
     box_excess = np.abs(local) - halves
@@ -48,8 +49,8 @@ def distances(table: FloatArray, points: ArrayLike) -> FloatArray:
 
 
 def _to_local(table: FloatArray, points: FloatArray) -> FloatArray:
-    offset = points[:, None, :] - table[None, :, 1:4]
-    cos_yaw, sin_yaw = table[:, 7], table[:, 8]
+    offset = points[:, None, :] - table[None, :, X : Z + 1]
+    cos_yaw, sin_yaw = table[:, COS_YAW], table[:, SIN_YAW]
     x = cos_yaw * offset[..., 0] + sin_yaw * offset[..., 1]
     y = -sin_yaw * offset[..., 0] + cos_yaw * offset[..., 1]
     return np.stack([x, y, offset[..., 2]], axis=-1)
@@ -72,9 +73,9 @@ def surface_normals(table: FloatArray, points: ArrayLike, step: float = 1e-6) ->
 
 def bounding_boxes(table: FloatArray) -> FloatArray:
     """Axis-aligned bounding boxes, (K, 2, 3) m: lower and upper corners."""
-    cos_yaw, sin_yaw = np.abs(table[:, 7]), np.abs(table[:, 8])
-    half_x, half_y, half_z = table[:, 4:7].T
-    turned = table[:, 0] == BOX
+    cos_yaw, sin_yaw = np.abs(table[:, COS_YAW]), np.abs(table[:, SIN_YAW])
+    half_x, half_y, half_z = table[:, HALF_X : HALF_Z + 1].T
+    turned = table[:, SHAPE] == BOX
     reach = np.stack(
         [
             np.where(turned, cos_yaw * half_x + sin_yaw * half_y, half_x),
@@ -83,4 +84,5 @@ def bounding_boxes(table: FloatArray) -> FloatArray:
         ],
         axis=-1,
     )
-    return np.stack([table[:, 1:4] - reach, table[:, 1:4] + reach], axis=1)
+    centre = table[:, X : Z + 1]
+    return np.stack([centre - reach, centre + reach], axis=1)

@@ -1,7 +1,7 @@
 """Compiled twins of `flockopt.geometry.distances`: distances of one point or segment to one obstacle row.
 
 Kept apart so that importing flockopt does not load numba. Every function is checked against the numpy form in
-tests/unit/test_kernels.py. An obstacle row is as in `flockopt.geometry.distances.OBSTACLE_COLUMNS`.
+tests/unit/geometry/test_kernels.py. An obstacle row is as in `flockopt.geometry.distances.OBSTACLE_COLUMNS`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from flockopt.geometry.distances import BOX, CYLINDER
+from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, X, Y, Z
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["point_distance", "point_gradient", "polyline_clear", "segment_clear", "segment_distance", "segment_distances"]
+__all__ = [
+    "SEGMENT_TOLERANCE_M", "point_distance", "point_gradient", "segment_distance", "segment_distances", "segment_length",
+    "segment_near_box",
+]  # fmt: skip
 
 #: A segment's least distance is found to this many metres.
 SEGMENT_TOLERANCE_M = 1e-9
@@ -30,14 +33,14 @@ def _signed_prism(a: float, b: float, c: float) -> float:
 @njit(cache=True)
 def point_distance(row: FloatArray, x: float, y: float, z: float) -> float:
     """Signed distance, metres, of a point to the obstacle; negative inside."""
-    dx, dy, dz = x - row[1], y - row[2], z - row[3]
-    if row[0] == BOX:
-        a = abs(row[7] * dx + row[8] * dy) - row[4]
-        b = abs(-row[8] * dx + row[7] * dy) - row[5]
-        return _signed_prism(a, b, abs(dz) - row[6])
-    if row[0] == CYLINDER:
-        return _signed_prism(math.sqrt(dx * dx + dy * dy) - row[4], -np.inf, abs(dz) - row[6])
-    return math.sqrt(dx * dx + dy * dy + dz * dz) - row[4]
+    dx, dy, dz = x - row[X], y - row[Y], z - row[Z]
+    if row[SHAPE] == BOX:
+        a = abs(row[COS_YAW] * dx + row[SIN_YAW] * dy) - row[HALF_X]
+        b = abs(-row[SIN_YAW] * dx + row[COS_YAW] * dy) - row[HALF_Y]
+        return _signed_prism(a, b, abs(dz) - row[HALF_Z])
+    if row[SHAPE] == CYLINDER:
+        return _signed_prism(math.sqrt(dx * dx + dy * dy) - row[HALF_X], -np.inf, abs(dz) - row[HALF_Z])
+    return math.sqrt(dx * dx + dy * dy + dz * dz) - row[HALF_X]
 
 
 @njit(cache=True)
@@ -55,17 +58,17 @@ def _prism_gradient(a: float, b: float, c: float) -> tuple[float, float, float]:
 @njit(cache=True)
 def point_gradient(row: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Gradient of `point_distance`: the outward direction; one of the subgradients where it has several."""
-    dx, dy, dz = x - row[1], y - row[2], z - row[3]
+    dx, dy, dz = x - row[X], y - row[Y], z - row[Z]
     sign_z = 1.0 if dz >= 0.0 else -1.0
-    if row[0] == BOX:
-        u, v = row[7] * dx + row[8] * dy, -row[8] * dx + row[7] * dy
-        ga, gb, gc = _prism_gradient(abs(u) - row[4], abs(v) - row[5], abs(dz) - row[6])
+    if row[SHAPE] == BOX:
+        u, v = row[COS_YAW] * dx + row[SIN_YAW] * dy, -row[SIN_YAW] * dx + row[COS_YAW] * dy
+        ga, gb, gc = _prism_gradient(abs(u) - row[HALF_X], abs(v) - row[HALF_Y], abs(dz) - row[HALF_Z])
         ga *= 1.0 if u >= 0.0 else -1.0
         gb *= 1.0 if v >= 0.0 else -1.0
-        return row[7] * ga - row[8] * gb, row[8] * ga + row[7] * gb, gc * sign_z
-    if row[0] == CYLINDER:
+        return row[COS_YAW] * ga - row[SIN_YAW] * gb, row[SIN_YAW] * ga + row[COS_YAW] * gb, gc * sign_z
+    if row[SHAPE] == CYLINDER:
         flat = math.sqrt(dx * dx + dy * dy)
-        ga, _, gc = _prism_gradient(flat - row[4], -np.inf, abs(dz) - row[6])
+        ga, _, gc = _prism_gradient(flat - row[HALF_X], -np.inf, abs(dz) - row[HALF_Z])
         if flat == 0.0:
             return ga, 0.0, gc * sign_z
         return ga * dx / flat, ga * dy / flat, gc * sign_z
@@ -73,6 +76,12 @@ def point_gradient(row: FloatArray, x: float, y: float, z: float) -> tuple[float
     if norm == 0.0:
         return 1.0, 0.0, 0.0
     return dx / norm, dy / norm, dz / norm
+
+
+@njit(cache=True)
+def segment_length(p: FloatArray, q: FloatArray) -> float:
+    """Metres between two points."""
+    return math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
 
 
 @njit(cache=True)
@@ -119,34 +128,6 @@ def segment_distance(row: FloatArray, p: FloatArray, q: FloatArray, enough: floa
         else:
             low, f_low, g_low = middle, f, slope
     return best
-
-
-@njit(cache=True)
-def segment_clear(table: FloatArray, boxes: FloatArray, needs: FloatArray, p: FloatArray, q: FloatArray) -> bool:
-    """Whether the segment p-q keeps at least ``needs[k]`` metres from every obstacle k.
-
-    Args:
-        table: (K, 9) obstacle rows.
-        boxes: (K, 2, 3) their bounding boxes (`flockopt.geometry.distances.bounding_boxes`), for culling.
-        needs: (K,) m.
-        p: (3,) m.
-        q: (3,) m.
-    """
-    for k in range(table.shape[0]):
-        if not segment_near_box(boxes[k], needs[k], p, q):
-            continue
-        if segment_distance(table[k], p, q, needs[k], needs[k] - 1e-12) < needs[k] - SEGMENT_TOLERANCE_M:
-            return False
-    return True
-
-
-@njit(cache=True)
-def polyline_clear(table: FloatArray, boxes: FloatArray, needs: FloatArray, points: FloatArray) -> bool:
-    """Whether every segment of a polyline (V, 3) is clear; the other arguments are as in `segment_clear`."""
-    clear = True
-    for i in range(points.shape[0] - 1):
-        clear = clear and segment_clear(table, boxes, needs, points[i], points[i + 1])
-    return clear
 
 
 @njit(cache=True)

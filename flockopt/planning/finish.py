@@ -1,88 +1,188 @@
-"""A proposal made a plan, and judged."""
+"""The finishing line: every proposal, whoever made it, is flown, kept apart, costed and judged in the same way.
+
+decode → smooth → apart → cost → certify, with more room than the scene asks for where the settings want it: the widest margin
+first, until no smaller one would mend what the certificate still finds (`flockopt.planning.margins.is_enough`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
+from typing import Protocol, TypeAlias
 
 from flockopt.bundles import Bound, Bundles
-from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.certificate import Cost, Plan
 from flockopt.certificate.judge import certify
 from flockopt.flights import Flight
-from flockopt.flights.apart.deconflict import deconflict
+from flockopt.flights.apart.deconflict import Deconflicted, deconflict
 from flockopt.flights.decode import decode
 from flockopt.flights.smoothing.smooth import smooth
 from flockopt.planning.margins import is_enough, margins, roomier
-from flockopt.planning.planners import Proposal, Request, Smoother
+from flockopt.planning.planners import Smoother
+from flockopt.records.arrays import FloatArray
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["draft_plan", "plan_cost"]
-
+__all__ = ["Clock", "DecodedFlights", "Flights", "GivenFlights", "Reporter", "finish"]
 
 #: Travel below this is none: its gap to a bound of zero is zero, while any other has none.
 NO_TRAVEL_M = 1e-6
 
+#: Called with a stage's name and the fraction of the whole that is done.
+Reporter: TypeAlias = Callable[[str, float], None]
 
-Progress = Callable[[str, float], None]
+
+class Clock:
+    """Seconds by stage, and word of progress."""
+
+    def __init__(self, report: Reporter | None = None) -> None:
+        self._report = report
+        self._began = perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str, fraction: float) -> Iterator[None]:
+        """Time a stage that begins when ``fraction`` of the whole is done."""
+        if self._report is not None:
+            self._report(name, fraction)
+        began = perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - began
+
+    @property
+    def total(self) -> float:
+        """Seconds since the beginning."""
+        return perf_counter() - self._began
+
+    def timing(self) -> dict[str, float]:
+        """The stages' seconds and their total."""
+        return {**self.seconds, "total": self.total}
 
 
-def _finish(
-    request: Request, planner: str, proposal: Proposal, clock: _Clock, *, bound: str, smoothing: bool, margin_m: float
-) -> Plan:
-    """A proposal made a plan, and judged."""
-    scene, travel, bundles = request.scene, request.travel, proposal.bundles
-    draft = replace(draft_plan(scene, planner, bundles), episode_steps=proposal.episode_steps)
-    if bundles.status == "infeasible":
-        return replace(draft, status="infeasible", reason=bundles.reason)
-    with clock.stage("bound", 0.5):
-        # what all tasks cost at least says nothing of a plan that leaves some out
-        upper = travel.total(bundles.routes)
-        proof = None if bundles.unserved else lower_bound(scene, travel, bound=bound, upper=upper)
-    for clearance_m, separation_m in margins(margin_m):
+class Flights(Protocol):
+    """Where the flights of a proposal come from."""
+
+    def first(self, scene: Scene, travel: Travel, clock: Clock) -> dict[str, Flight]:
+        """Flights by drone id in a scene, which may ask for more room than the one that is planned."""
+
+    def again(self, apart: Deconflicted) -> dict[str, Flight] | None:
+        """Other flights in the same scene, since these meet; None where there are none to try."""
+
+
+@dataclass(frozen=True)
+class DecodedFlights:
+    """Flights decoded from bundles, and smoothed if somebody is to.
+
+    Attributes:
+        bundles: Which drone visits what.
+        samples: (N, T, 3) m, control points, or None to follow the shortest paths.
+        smoother: Makes better flights of them, or None.
+        smoothing: Whether the solver smooths too; it begins with what ``smoother`` makes.
+    """
+
+    bundles: Bundles
+    samples: FloatArray | None = None
+    smoother: Smoother | None = None
+    smoothing: bool = False
+
+    def first(self, scene: Scene, travel: Travel, clock: Clock) -> dict[str, Flight]:
+        """See `Flights.first`."""
         with clock.stage("decode", 0.6):
-            room, ways = roomier(scene, travel, bundles, clearance_m, separation_m)
-            flights = decode(room, bundles, proposal.samples, travel=ways)
-        if smoothing or proposal.smoother is not None:
+            flights = decode(scene, self.bundles, self.samples, travel=travel)
+        if self.smoothing or self.smoother is not None:
             with clock.stage("smooth", 0.65):
-                flights = _smoothed(room, flights, proposal.smoother, smoothing)
-        with clock.stage("deconflict", 0.7):
-            flights = deconflict(room, bundles, flights, travel=ways).flights
-        draft = replace(draft, flights=flights, cost=plan_cost(travel, bundles, flights, proof))
-        with clock.stage("certify", 0.9):
-            certificate = certify(scene, draft, travel=travel, bound=proof)
+                better = flights if self.smoother is None else self.smoother(scene, flights)
+                flights = smooth(scene, flights, starts=better) if self.smoothing else better
+        return flights
+
+    def again(self, apart: Deconflicted) -> None:
+        """There are no others."""
+
+
+@dataclass(frozen=True)
+class GivenFlights:
+    """Flights that are there already, by drone id."""
+
+    flights: Mapping[str, Flight] = field(default_factory=dict)
+
+    def first(self, scene: Scene, travel: Travel, clock: Clock) -> dict[str, Flight]:
+        """See `Flights.first`."""
+        return dict(self.flights)
+
+    def again(self, apart: Deconflicted) -> None:
+        """There are no others."""
+
+
+def finish(
+    scene: Scene,
+    travel: Travel,
+    bundles: Bundles,
+    source: Flights,
+    *,
+    planner: str,
+    proof: Bound | None = None,
+    margin_m: float = 0.0,
+    airborne: Collection[str] = (),
+    clock: Clock | None = None,
+) -> Plan:
+    """The plan that comes of bundles, judged.
+
+    Args:
+        scene: The scene.
+        travel: Its travel.
+        bundles: Which drone visits what, and what is left out.
+        source: Where flights come from.
+        planner: Who proposed.
+        proof: A lower bound on travel with its proof, or None to claim none.
+        margin_m: Room to keep for tracking errors where there is some, metres.
+        airborne: Ids of drones that may make way although they have no capacity: it is used up, and they hover.
+        clock: Times the stages.
+
+    Returns:
+        A plan that is certified, uncertified with a certificate that says why, or infeasible as the bundles are.
+    """
+    clock = clock or Clock()
+    draft = _draft(scene, planner, bundles)
+    if bundles.status == Status.INFEASIBLE:
+        return replace(draft, status=Status.INFEASIBLE, reason=bundles.reason)
+    for clearance_m, separation_m in margins(margin_m):
+        roomier_scene, roomier_travel = scene, travel
+        if clearance_m > 0.0 or separation_m > 0.0:
+            with clock.stage("room", 0.55):
+                roomier_scene, roomier_travel = roomier(scene, travel, bundles, clearance_m, separation_m)
+        flights: dict[str, Flight] | None = source.first(roomier_scene, roomier_travel, clock)
+        while flights is not None:
+            with clock.stage("deconflict", 0.7):
+                apart = deconflict(roomier_scene, bundles, flights, travel=roomier_travel, airborne=airborne)
+            draft = replace(draft, flights=apart.flights, cost=_cost(travel, bundles, apart.flights, proof))
+            with clock.stage("certify", 0.9):
+                certificate = certify(scene, draft, travel=travel, bound=proof)
+            flights = None if certificate["separation"].holds else source.again(apart)
         if is_enough(certificate):
             break
-    return replace(draft, status="certified" if certificate.certified else "uncertified", certificate=certificate)
+    status = Status.CERTIFIED if certificate.certified else Status.UNCERTIFIED
+    return replace(draft, status=status, certificate=certificate)
 
 
-def _smoothed(scene: Scene, flights: dict[str, Flight], smoother: Smoother | None, smoothing: bool) -> dict[str, Flight]:
-    """The flights as the proposal's smoother makes them, or as the solver does that begins with those."""
-    better = flights if smoother is None else smoother(scene, flights)
-    return smooth(scene, flights, starts=better) if smoothing else better
-
-
-def draft_plan(scene: Scene, planner: str, bundles: Bundles) -> Plan:
+def _draft(scene: Scene, planner: str, bundles: Bundles) -> Plan:
     """The plan as far as the allocation makes it."""
     names = [task.id for task in scene.tasks]
     return Plan(
         scene_name=scene.name,
         scene_sha256=scene.sha256,
         planner=planner,
-        status="uncertified",
+        status=Status.UNCERTIFIED,
         routes={drone.id: tuple(names[task] for task in route) for drone, route in zip(scene.drones, bundles, strict=True)},
         unserved={names[task]: reason for task, reason in bundles.unserved},
         flights={},
         cost=Cost(length=0.0, travel=0.0, lower_bound=None, gap=None, makespan=0.0),
-        certificate=None,
-        timing={},
     )
 
 
-def plan_cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: Bound | None) -> Cost:
+def _cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: Bound | None) -> Cost:
     """What flights along bundles cost, against a proven bound where there is one."""
     total = travel.total(bundles.routes)
     lower, gap = None, None
@@ -96,30 +196,3 @@ def plan_cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proo
         gap=gap,
         makespan=max((flight.curve.end_time for flight in flights.values()), default=0.0),
     )
-
-
-class _Clock:
-    """Seconds per stage, and word of progress."""
-
-    def __init__(self, progress: Progress | None) -> None:
-        self.progress = progress
-        self.began = perf_counter()
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str, fraction: float) -> Iterator[None]:
-        """Time a stage that begins when ``fraction`` of the whole is done."""
-        if self.progress is not None:
-            self.progress(name, fraction)
-        began = perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - began
-
-    @property
-    def total(self) -> float:
-        """Seconds since the beginning."""
-        return perf_counter() - self.began
-
-    def timing(self) -> dict[str, float]:
-        """The stages' seconds and their total."""
-        return {**self.seconds, "total": self.total}

@@ -24,8 +24,9 @@ from flockopt.geometry.distances import distances
 from flockopt.geometry.kernels import segment_distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Bounds, Box, Cylinder, Obstacle, Scene
-from flockopt.travel import END, START, Travel
+from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
+from flockopt.travel.travel import stops_of
 
 __all__ = ["is_enough", "margins", "roomier"]
 
@@ -135,8 +136,7 @@ def _in_the_way(
     """Which grown obstacles (K,) the scene's own ways enter where the new ones end or are much longer."""
     found = np.zeros(len(growth), dtype=np.bool_)
     for index, route in enumerate(bundles):
-        stops = [START, *route] + ([END] if scene.drones[index].end_point is not None else [])
-        for leg in pairwise(stops):
+        for leg in pairwise(stops_of(scene, index, route)):
             old, new = travel.path(index, *leg), ways.path(index, *leg)
             longest = (1.0 + LONGER_SHARE) * _length(old) + LONGER_MARGINS * clearance_m
             if len(new) == 0 or _length(new) > longest:

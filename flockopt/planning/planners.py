@@ -1,38 +1,35 @@
-"""Planners: what they are asked, what they answer, and where they are found."""
+"""Planners: what they are asked, what they answer, and where they are found.
+
+A planner only proposes; `flockopt.planning.finish` finishes every proposal alike and the judge certifies it. Other packages
+add planners through the entry-point group ``flockopt.planners`` (docs/adding-a-planner.md); anyone may hand one to
+`flockopt.plan` as it is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
 from typing import TypeAlias
 
-from flockopt.bundles import Bundles
+from flockopt.bundles import Bound, Bundles
 from flockopt.bundles.refine import refine_bundles
-from flockopt.errors import SettingsError
+from flockopt.errors import PlanError, SettingsError
 from flockopt.flights import Flight
+from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
 __all__ = [
-    "ANY_ANGLE",
-    "PLANNERS",
-    "Planner",
-    "Proposal",
-    "Request",
-    "Smoother",
-    "default_planner",
-    "find_planner",
-    "planner_names",
-]
-
+    "ANY_ANGLE", "PLANNERS", "Planner", "Proposal", "Request", "Smoother", "default_planner", "find_planner", "planner_names",
+]  # fmt: skip
 
 ENTRY_POINTS = "flockopt.planners"
 
-
-#: Paths that every planner's drones can fly along: the shortest ones. A planner that knows others as well names all of
-#: them in an attribute ``paths``.
+#: Paths that every planner's drones can fly along: the shortest ones.
 ANY_ANGLE = "any-angle"
 
 
@@ -45,8 +42,9 @@ class Request:
         travel: Its obstacle-avoiding distances and paths.
         time_limit_s: Seconds the proposal may take, or None for the planner's own measure.
         seed: For everything random.
-        paths: What drones are to fly along, one of those the planner's attribute ``paths`` names.
+        paths: What drones are to fly along, one of the planner's `Planner.paths`.
         tracking_margin_m: How much more room flights are to keep where there is some, metres.
+        backend: What computes the planner's networks, or None for the best that is installed.
     """
 
     scene: Scene
@@ -55,6 +53,7 @@ class Request:
     seed: int
     paths: str = ANY_ANGLE
     tracking_margin_m: float = 0.0
+    backend: str | None = None
 
 
 @dataclass(frozen=True)
@@ -69,34 +68,117 @@ class Proposal:
         otherwise: Who is asked where no certified plan comes of this proposal; what that took is the stage ``fallback``.
         smoother: Makes better flights of the decoded ones in the scene they are in, by drone id, or leaves them as they are;
             what it took is part of the stage ``smooth``. With ``plan(..., smoothing=True)`` the solver begins with them.
+        bound: A lower bound that the planner has proven, with its proof; None to have one proven as the settings say.
+        made_with: What else steered the proposal, by name, for the plan file: a backend, a digest of weights.
     """
 
     bundles: Bundles
     samples: FloatArray | None = None
-    timing: dict[str, float] = field(default_factory=dict)
+    timing: Mapping[str, float] = field(default_factory=dict)
     episode_steps: int | None = None
     otherwise: Planner | None = None
     smoother: Smoother | None = None
+    bound: Bound | None = None
+    made_with: Mapping[str, str] = field(default_factory=dict)
 
 
 #: From a scene and flights to better flights, as from `flockopt.flights.smoothing.proposals.fly_proposals`.
 Smoother: TypeAlias = "Callable[[Scene, dict[str, Flight]], dict[str, Flight]]"
 
 
-Planner: TypeAlias = "Callable[[Request], Proposal]"
+def _always() -> bool:
+    return True
 
 
-def classical(request: Request) -> Proposal:
+@dataclass(frozen=True)
+class Planner:
+    """Somebody who proposes.
+
+    Attributes:
+        propose: From a request to a proposal.
+        name: What plan files call it; the function's own name where it is left empty.
+        paths: What its drones can fly along.
+        is_ready: Whether all that it needs is there (weights, libraries), beyond what its module imports.
+        takes_backend: Whether it heeds `Request.backend`: it has networks.
+        rank: Where no planner is named, the ready one of the highest rank plans; 0 is never chosen unasked.
+    """
+
+    propose: Callable[[Request], Proposal]
+    name: str = ""
+    paths: tuple[str, ...] = (ANY_ANGLE,)
+    is_ready: Callable[[], bool] = _always
+    takes_backend: bool = False
+    rank: int = 0
+
+    def __post_init__(self) -> None:
+        propose: object = self.propose
+        if not callable(propose):
+            seen = f"is {checks.shown(self.propose)}"
+            raise SettingsError("propose", seen, "must be a function from a request to a proposal", "give one")
+        name = self.name or getattr(self.propose, "__name__", "")
+        object.__setattr__(self, "name", checks.text(SettingsError, "name", name))
+        object.__setattr__(self, "paths", tuple(self.paths))
+
+    def check(self, paths: str = ANY_ANGLE, backend: str | None = None) -> None:
+        """Refuse paths that its drones cannot fly along, and a backend where it has no networks.
+
+        Raises:
+            SettingsError: Naming the setting, and what could be chosen.
+        """
+        if backend is not None and not self.takes_backend:
+            rule = f"planner {self.name!r} has no networks that a backend could compute"
+            raise SettingsError("backend", f"is {backend!r}", rule, "leave it out, or choose another planner")
+        if paths not in self.paths:
+            rule = f"must be one of {', '.join(self.paths)} for planner {self.name!r}"
+            raise SettingsError("paths", f"is {paths!r}", rule, "choose one, or another planner")
+
+
+def _search(request: Request) -> Proposal:
     """Any-angle travel costs and ruin-and-recreate search."""
-    bundles = refine_bundles(request.scene, travel=request.travel, time_limit_s=request.time_limit_s, seed=request.seed)
-    return Proposal(bundles)
+    return Proposal(_bundles(request, "search"))
 
 
-PLANNERS: dict[str, Planner] = {"classical": classical}
+def _route(request: Request) -> Proposal:
+    """Any-angle travel costs and OR-Tools' routing solver, for as long as the time limit allows."""
+    return Proposal(_bundles(request, "cvrp"))
 
 
-#: Who plans where nobody is named: the first of these that is there and ready.
-PREFERRED = ("hybrid", "classical")
+def _prove(request: Request) -> Proposal:
+    """The allocation of least travel, with a proof that can be checked again where there was time for one."""
+    from flockopt.bundles.exact.exact import solve_exact
+    from flockopt.certificate.proof import recompute_bound
+
+    result = solve_exact(request.scene, request.travel, time_limit_s=request.time_limit_s, seed=request.seed)
+    if result.status == Status.INFEASIBLE:
+        return Proposal(result.bundles)
+    bound = result.bound
+    if result.status == Status.OPTIMAL:
+        claim = Bound("optimum", result.proven, bound.dual)
+        try:
+            proven = recompute_bound(request.scene, request.travel, claim)
+        except PlanError:  # too many routes to list again: the bound of the prices alone is claimed then
+            proven = bound.value
+        bound = claim if proven == claim.value else bound
+    return Proposal(result.bundles, bound=bound)
+
+
+def _bundles(request: Request, method: str) -> Bundles:
+    return refine_bundles(
+        request.scene, travel=request.travel, method=method, time_limit_s=request.time_limit_s, seed=request.seed
+    )
+
+
+#: flockopt's own planners, by name.
+PLANNERS: Mapping[str, Planner] = MappingProxyType(
+    {
+        planner.name: planner
+        for planner in (
+            Planner(_search, "classical", rank=10),
+            Planner(_prove, "exact"),
+            Planner(_route, "ortools"),
+        )
+    }
+)
 
 
 def planner_names() -> tuple[str, ...]:
@@ -104,35 +186,43 @@ def planner_names() -> tuple[str, ...]:
     return tuple(sorted({*PLANNERS, *(entry.name for entry in entry_points(group=ENTRY_POINTS))}))
 
 
-def default_planner() -> str:
-    """The planner that `plan` takes where none is named.
+def default_planner() -> Planner:
+    """The planner that `flockopt.plan` takes where none is named: the ready one of the highest rank.
 
-    It is ``hybrid`` where its weights and what computes them are installed, else ``classical``. A planner that needs more
-    than its module says in an attribute ``is_ready``, a function, whether that is there.
+    What an installed package registers and cannot load is passed over: it was not asked for.
     """
-    known = planner_names()
-    return next(name for name in PREFERRED if name in known and getattr(_planner(name), "is_ready", lambda: True)())
+    known = list(PLANNERS.values())
+    for entry in entry_points(group=ENTRY_POINTS):
+        if entry.name not in PLANNERS:
+            try:
+                known.append(_load(entry))
+            except (ImportError, AttributeError, SettingsError):
+                continue
+    return max((planner for planner in known if planner.rank > 0 and planner.is_ready()), key=lambda planner: planner.rank)
 
 
-def find_planner(name: str, paths: str = ANY_ANGLE) -> Planner:
-    """The planner of this name.
+def find_planner(planner: Planner | str | None) -> Planner:
+    """The planner of this name, the default one for None; a planner is itself.
 
     Raises:
-        SettingsError: If there is none, or it does not know these paths.
+        SettingsError: If there is none, or what a package registers under the name is no planner.
     """
-    planner = _planner(name)
-    known: tuple[str, ...] = getattr(planner, "paths", (ANY_ANGLE,))
-    if paths not in known:
-        rule = f"must be one of {', '.join(known)} for planner {name!r}"
-        raise SettingsError("paths", f"is {paths!r}", rule, "choose one, or another planner")
-    return planner
-
-
-def _planner(name: str) -> Planner:
-    if name in PLANNERS:
-        return PLANNERS[name]
+    if planner is None:
+        return default_planner()
+    if isinstance(planner, Planner):
+        return planner
+    if isinstance(planner, str) and planner in PLANNERS:
+        return PLANNERS[planner]
     for entry in entry_points(group=ENTRY_POINTS):
-        if entry.name == name:
-            planner: Planner = entry.load()
-            return planner
-    raise SettingsError("planner", f"is {name!r}", f"must be one of {', '.join(planner_names())}", "choose one")
+        if entry.name == planner:
+            return _load(entry)
+    rule = f"must be one of {', '.join(planner_names())}, or a Planner"
+    raise SettingsError("planner", f"is {checks.shown(planner)}", rule, "choose one")
+
+
+def _load(entry: EntryPoint) -> Planner:
+    planner = entry.load()
+    if not isinstance(planner, Planner):
+        seen = f"names {checks.shown(planner)} ({entry.value})"
+        raise SettingsError(f"planner {entry.name!r}", seen, "must be a flockopt.planning.planners.Planner", "wrap it in one")
+    return planner

@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -20,16 +21,15 @@ from flockopt.bundles import Bundles
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.bundles.refine import refine_bundles
 from flockopt.certificate import Plan
-from flockopt.certificate.judge import certify
 from flockopt.errors import SceneError, SettingsError
 from flockopt.flights import Flight
-from flockopt.flights.apart.deconflict import Deconflicted, deconflict
+from flockopt.flights.apart.deconflict import Deconflicted
 from flockopt.flights.decode import fly
 from flockopt.flights.waypoints import SAME_POINT_M, Waypoints, waypoints_from_paths
-from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.planning.finish import Clock, finish
 from flockopt.planning.handover import Changes, Situation, hand_over
-from flockopt.planning.margins import margins, roomier
-from flockopt.records import checks
+from flockopt.planning.settings import PlanSettings
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
@@ -82,11 +82,11 @@ def replan(
     plan: Plan,
     now_s: float,
     changes: Changes,
+    settings: PlanSettings | None = None,
     *,
-    seed: int = 0,
     freeze_s: float = FREEZE_S,
-    tracking_margin_m: float = 0.0,
     airborne: Collection[str] = (),
+    **keywords: Any,
 ) -> Replanned:
     """A certified plan from flight after something has happened.
 
@@ -95,29 +95,30 @@ def replan(
         plan: The certified plan being flown.
         now_s: Seconds on its clock, >= 0.
         changes: What has happened.
-        seed: Of the search.
+        settings: As for `flockopt.plan`; replanning heeds its ``seed`` and ``tracking_margin_m``. Bundles are searched, begun
+            with those that are flown, whoever planned them.
         freeze_s: Seconds the old plan is flown on before the swap, >= 0; 0 suits a fleet that has not taken off.
-        tracking_margin_m: Room that new flights keep for tracking errors, metres, as in `flockopt.planning.pipeline.plan`.
         airborne: Ids of drones that hover, as far as the plan does not tell by giving them flights: they may make way even if
             they have no capacity left, while a drone that never had any is grounded.
+        **keywords: Fields of `flockopt.planning.settings.PlanSettings` that take the place of those in ``settings``.
 
     Raises:
-        SettingsError: If the plan is not certified or for another scene, a time is out of range, or a change names
-            what is not there.
+        SettingsError: If the plan is not certified or for another scene, a time is out of range, a change names
+            what is not there, or a setting is none.
         SceneError: If a new task is not valid in the scene.
     """
     began = perf_counter()
+    settings = PlanSettings.of(settings, keywords)
     _check(scene, plan, now_s, changes, freeze_s)
-    margin_m = checks.number(SettingsError, "tracking_margin_m", tracking_margin_m, least=0.0)
     handed_over = _situation(scene, plan, now_s, changes, freeze_s)
     if handed_over is None:
-        return Replanned(scene, replace(plan, status="uncertified"), now_s, {}, "none", perf_counter() - began)
+        return Replanned(scene, replace(plan, status=Status.UNCERTIFIED), now_s, {}, "none", perf_counter() - began)
     situation, swap_s = handed_over
     hovering = {*airborne, *plan.flights}
     travel = compute_travel(situation.scene)
-    for strategy, bundles in _proposals(situation, travel, seed):
-        left, result, unserved = _finish(situation, travel, bundles, strategy, margin_m, hovering)
-        if result.status == "certified":
+    for strategy, bundles in _proposals(situation, travel, settings.seed):
+        left, result, unserved = _finished(situation, travel, bundles, strategy, settings.tracking_margin_m, hovering)
+        if result.status == Status.CERTIFIED:
             break
     return Replanned(left, result, swap_s, situation.unreachable | unserved, strategy, perf_counter() - began)
 
@@ -127,7 +128,7 @@ def _check(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: f
         raise SettingsError(
             "plan", f"is for scene {plan.scene_sha256[:12]}", f"must be for {scene.sha256[:12]}", "plan this scene"
         )
-    if plan.status != "certified":
+    if plan.status != Status.CERTIFIED:
         raise SettingsError("plan", f"is {plan.status}", "only a certified plan is flown on", "plan the scene first")
     if not 0.0 <= now_s < np.inf:
         raise SettingsError("now_s", f"is {now_s!r}", "must be seconds >= 0 on the plan's clock", "correct it")
@@ -209,7 +210,7 @@ def _stops_at_last_task(situation: Situation, index: int) -> bool:
     return bool(np.linalg.norm(away) < SAME_POINT_M)
 
 
-def _finish(
+def _finished(
     situation: Situation, travel: Travel, bundles: Bundles, strategy: str, margin_m: float, airborne: Collection[str]
 ) -> tuple[Scene, Plan, dict[str, str]]:
     """The scene of what the bundles serve, the plan for it, certified or not, and what is left out."""
@@ -221,21 +222,40 @@ def _finish(
         scene = scene.replace(tasks=tuple(scene.tasks[j] for j in kept))
         travel = compute_travel(scene)
         bundles = Bundles(tuple(tuple(place[j] for j in route) for route in bundles))
-    draft = draft_plan(scene, "replan", bundles)
     proof = lower_bound(scene, travel, bound="fast")
-    for clearance_m, separation_m in margins(margin_m):
-        room, ways = roomier(scene, travel, bundles, clearance_m, separation_m)
-        for rest_s in RESTS_S:
-            flights = _flights(situation, room, ways, bundles, rest_s, strategy)
-            apart = deconflict(room, bundles, flights, travel=ways, airborne=airborne)
-            result = replace(draft, flights=apart.flights, cost=plan_cost(travel, bundles, apart.flights, proof))
-            certificate = certify(scene, result, travel=travel, bound=proof)
-            if certificate["separation"].holds or not _rests_could_help(situation, flights, apart):
-                break
-        if certificate.certified:
-            break
-    status = "certified" if certificate.certified else "uncertified"
-    return scene, replace(result, status=status, certificate=certificate), unserved
+    source = _FlightsFromSwap(situation, bundles, strategy)
+    result = finish(scene, travel, bundles, source, planner="replan", proof=proof, margin_m=margin_m, airborne=airborne)
+    return scene, result, unserved
+
+
+@dataclass
+class _FlightsFromSwap:
+    """Flights of a fleet in motion: where they meet, drones that cannot wait rest on their way, longer each time.
+
+    Attributes:
+        situation: The fleet at the swap.
+        bundles: Which drone visits what, of the scene that is finished.
+        strategy: How the bundles came about.
+    """
+
+    situation: Situation
+    bundles: Bundles
+    strategy: str
+
+    def first(self, scene: Scene, travel: Travel, clock: Clock) -> dict[str, Flight]:
+        """See `flockopt.planning.finish.Flights.first`."""
+        self._scene, self._travel, self._rests = scene, travel, list(RESTS_S)
+        with clock.stage("decode", 0.6):
+            return self._fly()
+
+    def again(self, apart: Deconflicted) -> dict[str, Flight] | None:
+        """See `flockopt.planning.finish.Flights.again`."""
+        return self._fly() if self._rests and _rests_could_help(self.situation, self._flights, apart) else None
+
+    def _fly(self) -> dict[str, Flight]:
+        rest_s = self._rests.pop(0)
+        self._flights = _flights(self.situation, self._scene, self._travel, self.bundles, rest_s, self.strategy)
+        return self._flights
 
 
 def _rests_could_help(situation: Situation, flights: dict[str, Flight], apart: Deconflicted) -> bool:

@@ -6,13 +6,18 @@ seen, the rule and the mend. Nothing that is read is ever executed.
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from flockopt.errors import FieldError
 
-__all__ = ["Error", "integer", "keys", "number", "objects", "point", "shown", "text", "unique"]
+__all__ = [
+    "Error", "choice", "flag", "from_keys", "integer", "keys", "number", "objects", "point", "share", "shown", "store", "text",
+    "unique",
+]  # fmt: skip
 
 Error = type[FieldError]
 Record = TypeVar("Record")
@@ -55,6 +60,29 @@ def integer(error: Error, field: str, value: Any, *, least: int, mend: str = "")
     return int(result)
 
 
+def share(error: Error, field: str, value: Any) -> float:
+    """A number from 0 to 1."""
+    result = number(error, field, value)
+    if not 0.0 <= result <= 1.0:
+        raise error(field, f"is {result:g}", "must be from 0 to 1", "give a share")
+    return result
+
+
+def flag(error: Error, field: str, value: Any) -> bool:
+    """True or false; 1 and 0 are neither."""
+    if not isinstance(value, bool):
+        raise error(field, f"is {shown(value)}", "must be true or false", "set one of the two")
+    return value
+
+
+def choice(error: Error, field: str, value: Any, *, known: Iterable[str], mend: str = "choose one") -> str:
+    """One of the known names."""
+    names = tuple(known)
+    if not isinstance(value, str) or value not in names:
+        raise error(field, f"is {shown(value)}", f"must be one of {', '.join(names)}", mend)
+    return value
+
+
 def text(error: Error, field: str, value: Any) -> str:
     """A string that is not empty."""
     if not isinstance(value, str) or not value:
@@ -73,18 +101,44 @@ def point(error: Error, field: str, value: Any) -> tuple[float, float, float]:
 
 
 def keys(error: Error, record: Any, required: Iterable[str], optional: Iterable[str] = ()) -> dict[str, Any]:
-    """The record itself, once it is an object with every required key and no unknown one."""
+    """The record itself, once it is an object with every required key and no unknown one.
+
+    An unknown key is told first, with the known one that it may be a slip of: who writes ``capcity`` lacks ``capacity``
+    too, and would look in vain for what is wrong with it.
+    """
     if not isinstance(record, dict):
         raise error("", f"is {shown(record)}", "must be an object", "put it in braces")
-    required, optional = tuple(required), tuple(optional)
+    required = tuple(required)
+    known = (*required, *optional)
+    for key in record:
+        if key not in known:
+            near = get_close_matches(str(key), known, n=1)
+            guess = f"did you mean {near[0]}? " if near else ""
+            rule = f"{guess}known keys are {', '.join(known)}"
+            raise error(key, "is an unknown key", rule, "remove it or correct its spelling")
     for key in required:
         if key not in record:
             raise error(key, "is missing", "the key is required", "add it")
-    for key in record:
-        if key not in required and key not in optional:
-            known = ", ".join((*required, *optional))
-            raise error(key, "is an unknown key", f"known keys are {known}", "remove it or correct its spelling")
     return record
+
+
+def from_keys(error: Error, make: Callable[..., Record], values: Any) -> Record:
+    """What ``make`` makes of an object's values as its keywords, none of them required; an unknown key is an error."""
+    return make(**keys(error, values, (), inspect.signature(make).parameters))
+
+
+def store(record: object, check: Callable[..., Any], error: Error, *fields: str, **rules: Any) -> None:
+    """Check fields of a frozen record that is being made, and store what the check gives: 3 where 3.0 was given.
+
+    Args:
+        record: To be called from its ``__post_init__``.
+        check: One of this module's checks of a value, such as `integer`.
+        error: What is raised.
+        fields: Their names.
+        rules: The check's own keywords, such as ``least=1``.
+    """
+    for field in fields:
+        object.__setattr__(record, field, check(error, field, getattr(record, field), **rules))
 
 
 def objects(error: Error, field: str, value: Any, build: Callable[[Any], Record]) -> tuple[Record, ...]:

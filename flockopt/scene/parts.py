@@ -16,7 +16,7 @@ from flockopt.records.arrays import FloatArray
 
 __all__ = [
     "GRAVITY_MPS2", "LATER_DRONE_KEYS", "SHAPES", "Bounds", "Box", "Cylinder", "Drone", "Obstacle", "Origin", "Point", "Sphere",
-    "Task", "obstacle_table", "require_positive", "set_fields",
+    "Task", "obstacle_table",
 ]  # fmt: skip
 
 #: Standard gravity.
@@ -28,18 +28,6 @@ LATER_DRONE_KEYS = ("mass", "max_thrust", "max_tilt")
 Point: TypeAlias = tuple[float, float, float]
 
 
-def set_fields(record: object, **values: object) -> None:
-    """Set fields of a frozen record that is being made."""
-    for name, value in values.items():
-        object.__setattr__(record, name, value)
-
-
-def require_positive(record: object, *fields: str) -> None:
-    """Refuse fields that are not finite numbers > 0."""
-    for field in fields:
-        set_fields(record, **{field: checks.number(SceneError, field, getattr(record, field), above=0.0)})
-
-
 @dataclass(frozen=True)
 class Bounds:
     """The axis-aligned space that drones' centres stay within, metres."""
@@ -48,9 +36,7 @@ class Bounds:
     upper: Point
 
     def __post_init__(self) -> None:
-        set_fields(
-            self, lower=checks.point(SceneError, "lower", self.lower), upper=checks.point(SceneError, "upper", self.upper)
-        )
+        checks.store(self, checks.point, SceneError, "lower", "upper")
         for axis, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
             if not high > low:
                 raise SceneError(f"upper[{axis}]", f"is {high:g}", f"must be > lower[{axis}] = {low:g}", "swap or widen them")
@@ -83,26 +69,22 @@ class Drone:
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
         mend = "capacities are integers >= 0; set 0 to ground the drone"
-        set_fields(
-            self,
-            start=checks.point(SceneError, "start", self.start),
-            capacity=checks.integer(SceneError, "capacity", self.capacity, least=0, mend=mend),
-            velocity=checks.point(SceneError, "velocity", self.velocity),
-            acceleration=checks.point(SceneError, "acceleration", self.acceleration),
-        )
-        require_positive(self, "radius", "max_speed", "max_acceleration", "max_jerk")
+        checks.store(self, checks.point, SceneError, "start", "velocity", "acceleration")
+        checks.store(self, checks.integer, SceneError, "capacity", least=0, mend=mend)
+        checks.store(self, checks.number, SceneError, "radius", "max_speed", "max_acceleration", "max_jerk", above=0.0)
         if self.max_distance is not None:
-            require_positive(self, "max_distance")
+            checks.store(self, checks.number, SceneError, "max_distance", above=0.0)
         if isinstance(self.end, str) and self.end != "start":
             raise SceneError("end", f"is {checks.shown(self.end)}", 'must be a point, "start" or null', "name a point")
         if self.end is not None and self.end != "start":
-            set_fields(self, end=checks.point(SceneError, "end", self.end))
+            checks.store(self, checks.point, SceneError, "end")
         self._check_abilities()
         self._check_state("velocity", self.max_speed, "max_speed")
         self._check_state("acceleration", self.max_acceleration, "max_acceleration")
 
     def _check_abilities(self) -> None:
-        require_positive(self, *(name for name in LATER_DRONE_KEYS if getattr(self, name) is not None))
+        given = [name for name in LATER_DRONE_KEYS if getattr(self, name) is not None]
+        checks.store(self, checks.number, SceneError, *given, above=0.0)
         if self.max_tilt is not None and not self.max_tilt < math.pi / 2:
             raise SceneError("max_tilt", f"is {self.max_tilt:g}", "must be < pi / 2 radians", "give it in radians, or null")
         if self.max_thrust is not None and self.mass is None:
@@ -154,8 +136,7 @@ class Origin:
     heading: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in ("latitude", "longitude", "altitude", "heading"):
-            set_fields(self, **{field: checks.number(SceneError, field, getattr(self, field))})
+        checks.store(self, checks.number, SceneError, "latitude", "longitude", "altitude", "heading")
         for field, most in (("latitude", 90.0), ("longitude", 180.0)):
             value = getattr(self, field)
             if abs(value) > most:
@@ -173,12 +154,9 @@ class Task:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
-        set_fields(
-            self,
-            position=checks.point(SceneError, "position", self.position),
-            demand=checks.integer(SceneError, "demand", self.demand, least=1),
-            service_time=checks.number(SceneError, "service_time", self.service_time, least=0.0),
-        )
+        checks.store(self, checks.point, SceneError, "position")
+        checks.store(self, checks.integer, SceneError, "demand", least=1)
+        checks.store(self, checks.number, SceneError, "service_time", least=0.0)
 
 
 @dataclass(frozen=True)
@@ -193,12 +171,8 @@ class Box:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
-        set_fields(
-            self,
-            center=checks.point(SceneError, "center", self.center),
-            size=checks.point(SceneError, "size", self.size),
-            yaw=checks.number(SceneError, "yaw", self.yaw),
-        )
+        checks.store(self, checks.point, SceneError, "center", "size")
+        checks.store(self, checks.number, SceneError, "yaw")
         for axis in range(3):
             mend = "remove the obstacle or give it a size"
             checks.number(SceneError, f"size[{axis}]", self.size[axis], above=0.0, mend=mend)
@@ -220,8 +194,8 @@ class Cylinder:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
-        set_fields(self, center=checks.point(SceneError, "center", self.center))
-        require_positive(self, "radius", "height")
+        checks.store(self, checks.point, SceneError, "center")
+        checks.store(self, checks.number, SceneError, "radius", "height", above=0.0)
 
     def row(self) -> tuple[float, ...]:
         """Its row in an obstacle table (`flockopt.geometry.distances.OBSTACLE_COLUMNS`)."""
@@ -239,8 +213,8 @@ class Sphere:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
-        set_fields(self, center=checks.point(SceneError, "center", self.center))
-        require_positive(self, "radius")
+        checks.store(self, checks.point, SceneError, "center")
+        checks.store(self, checks.number, SceneError, "radius", above=0.0)
 
     def row(self) -> tuple[float, ...]:
         """Its row in an obstacle table (`flockopt.geometry.distances.OBSTACLE_COLUMNS`)."""

@@ -13,9 +13,10 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from flockopt.errors import SceneError
 from flockopt.geometry.distances import bounding_boxes, distances
@@ -35,9 +36,10 @@ from flockopt.scene.parts import (
     Sphere,
     Task,
     obstacle_table,
-    require_positive,
-    set_fields,
 )
+
+if TYPE_CHECKING:
+    from flockopt.geometry.free_space import FreeSpace
 
 __all__ = [
     "GRAVITY_MPS2", "Bounds", "Box", "Cylinder", "Drone", "Obstacle", "Origin", "Point", "Scene", "Sphere", "Task",
@@ -72,14 +74,11 @@ class Scene:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "name", self.name)
-        set_fields(
-            self,
-            drones=tuple(self.drones), tasks=tuple(self.tasks), obstacles=tuple(self.obstacles),
-            clearance=checks.number(SceneError, "clearance", self.clearance, least=0.0),
-            separation=checks.number(SceneError, "separation", self.separation, least=0.0),
-        )  # fmt: skip
+        for field in ("drones", "tasks", "obstacles"):
+            object.__setattr__(self, field, tuple(getattr(self, field)))
+        checks.store(self, checks.number, SceneError, "clearance", "separation", least=0.0)
         if self.separation_z is not None:
-            require_positive(self, "separation_z")
+            checks.store(self, checks.number, SceneError, "separation_z", above=0.0)
             if self.separation == 0.0:
                 raise SceneError("separation", "is 0", "must be > 0 where separation_z is given", "give both or neither")
         if not self.drones:
@@ -141,6 +140,12 @@ class Scene:
     def obstacle_boxes(self) -> FloatArray:
         """(K, 2, 3) m, the obstacles' axis-aligned bounding boxes."""
         return bounding_boxes(self.obstacle_table)
+
+    def free_space(self, needs: ArrayLike) -> FreeSpace:
+        """Where a drone's centre may be that keeps ``needs`` metres, (K,) or one number, from the obstacles."""
+        from flockopt.geometry.free_space import free_space
+
+        return free_space(self.obstacle_table, needs, (self.bounds.lower, self.bounds.upper), self.obstacle_boxes)
 
     @property
     def separation_axes(self) -> Point:

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from flockopt.geometry.distances import SPHERE
-from flockopt.geometry.kernels import point_distance, point_gradient
+from flockopt.geometry.distances import HALF_X, SHAPE, SPHERE, X
+from flockopt.geometry.free_space import FreeSpace, inside, may_meet
+from flockopt.geometry.kernels import point_distance, point_gradient, segment_length
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.blocking import Space
-from flockopt.travel.edges import feature_edges, room_for_row
+from flockopt.travel.edges import ENDS_BEND, FIRST, FROM, OWNER, SECOND, TO, feature_edges, room_for_row
 
 __all__ = ["Features", "make_features", "unrestricted"]
 
@@ -32,6 +32,13 @@ EDGE_SLACK, SPHERE_SLACK = 1e-6, 0.25
 BEND_SLACK = 0.3
 
 
+#: Where a feature's columns begin while features are made: see `Features`.
+POSITION, NORMAL, OTHER_NORMAL, ALONG, SLACK = 0, 3, 6, 9, 12
+NUM_FEATURE_COLUMNS = 13
+#: Points around a sphere: three rings of eight, and its poles.
+NET_NODES = 26
+
+
 class Features(NamedTuple):
     """Points where a path may bend, with the two faces that meet there."""
 
@@ -43,12 +50,12 @@ class Features(NamedTuple):
     bend: float  # how far, as a sine, a bend may turn away from the obstacle it is around
 
 
-def make_features(space: Space) -> Features:
+def make_features(space: FreeSpace) -> Features:
     """All features of a space, in the order of its obstacles."""
     spacing = SPACING_SHARE * float((space.upper - space.lower).max())
     rows = _sample(space, feature_edges(space), spacing)
-    parts = [np.ascontiguousarray(rows[:, 3 * part : 3 * part + 3]) for part in range(4)]
-    return Features(parts[0], parts[1], parts[2], parts[3], np.ascontiguousarray(rows[:, 12]), BEND_SLACK)
+    vectors = (np.ascontiguousarray(rows[:, column : column + 3]) for column in (POSITION, NORMAL, OTHER_NORMAL, ALONG))
+    return Features(*vectors, np.ascontiguousarray(rows[:, SLACK]), BEND_SLACK)
 
 
 def unrestricted(features: Features) -> Features:
@@ -101,21 +108,11 @@ def _blocked_stretch(row: FloatArray, need: float, p: FloatArray, q: FloatArray)
 
 
 @njit(cache=True, error_model="numpy")
-def _near(row: FloatArray, need: float, reach: float, p: FloatArray, q: FloatArray) -> bool:
-    """Whether the bounding boxes of the grown obstacle's hull and of p-q meet."""
-    for axis in range(3):
-        room = row[6] + need if axis == 2 and row[0] != SPHERE else reach
-        if max(p[axis], q[axis]) < row[1 + axis] - room or min(p[axis], q[axis]) > row[1 + axis] + room:
-            return False
-    return True
-
-
-@njit(cache=True, error_model="numpy")
 def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float, float]:
     """The fractions of an edge between which it is within bounds; (1, 0) if nowhere."""
     enter, leave = 0.0, 1.0
     for axis in range(3):
-        a, step = edge[axis], edge[3 + axis] - edge[axis]
+        a, step = edge[FROM + axis], edge[TO + axis] - edge[FROM + axis]
         if abs(step) < LEAST_STRETCH_M:
             if a < lower[axis] or a > upper[axis]:
                 return 1.0, 0.0
@@ -126,92 +123,102 @@ def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float
 
 
 @njit(cache=True, error_model="numpy")
-def _sphere_net(row: FloatArray, need: float, net: FloatArray) -> int:
-    """Fill ``net`` (26, 3) with outward directions; return the distance-scaled count of points."""
-    count = 0
-    for tilt in (-0.25 * math.pi, 0.0, 0.25 * math.pi):
-        for step in range(8):
-            turn = 0.25 * math.pi * step
-            net[count, 0] = math.cos(tilt) * math.cos(turn)
-            net[count, 1] = math.cos(tilt) * math.sin(turn)
-            net[count, 2] = math.sin(tilt)
-            count += 1
-    net[count] = 0.0
-    net[count, 2] = 1.0
-    net[count + 1] = 0.0
-    net[count + 1, 2] = -1.0
-    return count + 2
-
-
-@njit(cache=True, error_model="numpy")
-def _sample(space: Space, edges: FloatArray, spacing: float) -> FloatArray:
-    """Features on the free stretches of the edges and around spheres, (F, 13): see `Features` for the columns."""
-    table, needs, reach, lower, upper = space
-    num_obstacles = table.shape[0]
-    rows = np.empty((4 * edges.shape[0] + 32, 13))
-    count = 0
-    blocked = np.empty((num_obstacles + 1, 2))
+def _sample(space: FreeSpace, edges: FloatArray, spacing: float) -> FloatArray:
+    """Features on the free stretches of the edges and around spheres, (F, 13), a row each: see `POSITION`."""
+    rows, count = np.empty((4 * edges.shape[0] + 32, NUM_FEATURE_COLUMNS)), 0
+    blocked = np.empty((space.table.shape[0] + 1, 2))
     for index in range(edges.shape[0]):
         edge = edges[index]
-        first, last = _clip(edge, lower, upper)
-        if first > last:
-            continue
-        p, q = edge[0:3], edge[3:6]
-        length = math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
-        num_blocked = 0
-        for k in range(num_obstacles):
-            if k != int(edge[12]) and _near(table[k], needs[k], reach[k], p, q):
-                enter, leave = _blocked_stretch(table[k], needs[k], p, q)
-                if enter <= leave:
-                    place = num_blocked
-                    while place > 0 and blocked[place - 1, 0] > enter:
-                        blocked[place] = blocked[place - 1]
-                        place -= 1
-                    blocked[place, 0], blocked[place, 1] = enter, leave
-                    num_blocked += 1
-        blocked[num_blocked] = 2.0
-        free = first
-        for stretch in range(num_blocked + 1):
-            stop = min(blocked[stretch, 0], last)
-            if (stop - free) * length > LEAST_STRETCH_M:
-                inner = min(max(math.ceil((stop - free) * length / spacing), 1), MOST_SAMPLES)
-                for sample in range(-1, inner + 1):
-                    share = free + (stop - free) * min(max((sample + 0.5) / inner, 0.0), 1.0)
-                    if sample < 0 and free == first and (first > 0.0 or edge[13] == 0.0):
-                        continue
-                    if sample == inner and stop == last and (last < 1.0 or edge[13] == 0.0):
-                        continue
-                    rows = room_for_row(rows, count)
-                    for axis in range(3):
-                        rows[count, axis] = p[axis] + share * (q[axis] - p[axis])
-                        rows[count, 9 + axis] = (q[axis] - p[axis]) / length
-                    rows[count, 3:9] = edge[6:12]
-                    rows[count, 12] = EDGE_SLACK
-                    count += 1
-            free = max(free, blocked[stretch, 1])
-            if free >= last:
-                break
-    net = np.empty((26, 3))
-    for k in range(num_obstacles):
-        if table[k, 0] != SPHERE:
-            continue
-        away = (table[k, 4] + needs[k]) / math.cos(math.pi / 8.0)
-        for sample in range(_sphere_net(table[k], needs[k], net)):
-            rows = room_for_row(rows, count)
-            rows[count] = 0.0
-            usable = True
-            for axis in range(3):
-                rows[count, axis] = table[k, 1 + axis] + away * net[sample, axis]
-                rows[count, 3 + axis] = rows[count, 6 + axis] = net[sample, axis]
-                usable = usable and lower[axis] <= rows[count, axis] <= upper[axis]
-            rows[count, 12] = SPHERE_SLACK
-            if usable and _free(space, rows[count]):
-                count += 1
+        first, last = _clip(edge, space.lower, space.upper)
+        if first <= last:
+            _fill_blocked(space, edge, blocked)
+            rows, count = _sample_edge(edge, first, last, blocked, spacing, rows, count)
+    for k in range(space.table.shape[0]):
+        if space.table[k, SHAPE] == SPHERE:
+            rows, count = _sample_sphere(space, k, rows, count)
     return rows[:count]
 
 
 @njit(cache=True, error_model="numpy")
-def _free(space: Space, point: FloatArray) -> bool:
+def _fill_blocked(space: FreeSpace, edge: FloatArray, blocked: FloatArray) -> None:
+    """Fill ``blocked`` (K + 1, 2) with the stretches of an edge that other obstacles block, in rising order; 2 after them."""
+    p, q = edge[FROM : FROM + 3], edge[TO : TO + 3]
+    lower, upper = np.minimum(p, q), np.maximum(p, q)
+    num_blocked = 0
+    for k in range(space.table.shape[0]):
+        if k != int(edge[OWNER]) and may_meet(space, k, lower, upper):
+            enter, leave = _blocked_stretch(space.table[k], space.needs[k], p, q)
+            if enter <= leave:
+                place = num_blocked
+                while place > 0 and blocked[place - 1, 0] > enter:
+                    blocked[place] = blocked[place - 1]
+                    place -= 1
+                blocked[place, 0], blocked[place, 1] = enter, leave
+                num_blocked += 1
+    blocked[num_blocked] = 2.0
+
+
+@njit(cache=True, error_model="numpy")
+def _sample_edge(
+    edge: FloatArray, first: float, last: float, blocked: FloatArray, spacing: float, rows: FloatArray, count: int
+) -> tuple[FloatArray, int]:
+    """Append features on the free stretches of an edge between two fractions of it; the rows, and how many are filled.
+
+    A free stretch has samples at its ends and up to `MOST_SAMPLES` between them; an end that is the edge's own is left
+    out where a path bends around it nowhere but along another edge, or where it lies on the bounds.
+    """
+    p, q = edge[FROM : FROM + 3], edge[TO : TO + 3]
+    length = segment_length(p, q)
+    free, stretch = first, 0
+    while free < last:
+        stop = min(blocked[stretch, 0], last)
+        if (stop - free) * length > LEAST_STRETCH_M:
+            inner = min(max(math.ceil((stop - free) * length / spacing), 1), MOST_SAMPLES)
+            for sample in range(-1, inner + 1):
+                share = free + (stop - free) * min(max((sample + 0.5) / inner, 0.0), 1.0)
+                if sample < 0 and free == first and (first > 0.0 or edge[ENDS_BEND] == 0.0):
+                    continue
+                if sample == inner and stop == last and (last < 1.0 or edge[ENDS_BEND] == 0.0):
+                    continue
+                rows = room_for_row(rows, count)
+                row = rows[count]
+                for axis in range(3):
+                    row[POSITION + axis] = p[axis] + share * (q[axis] - p[axis])
+                    row[NORMAL + axis], row[OTHER_NORMAL + axis] = edge[FIRST + axis], edge[SECOND + axis]
+                    row[ALONG + axis] = (q[axis] - p[axis]) / length
+                row[SLACK] = EDGE_SLACK
+                count += 1
+        free = max(free, blocked[stretch, 1])
+        stretch += 1
+    return rows, count
+
+
+@njit(cache=True, error_model="numpy")
+def _sample_sphere(space: FreeSpace, k: int, rows: FloatArray, count: int) -> tuple[FloatArray, int]:
+    """Append a net of features around a sphere, every 45 degrees around and up; the rows, and how many are filled.
+
+    The net is so far outside that the straight line between two of its neighbours stays clear.
+    """
+    away = (space.table[k, HALF_X] + space.needs[k]) / math.cos(math.pi / 8.0)
+    for node in range(NET_NODES):
+        tilt, turn = 0.25 * math.pi * (node // 8 - 1), 0.25 * math.pi * (node % 8)
+        outward = (math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt))
+        if node >= NET_NODES - 2:
+            outward = (0.0, 0.0, 1.0 if node == NET_NODES - 2 else -1.0)
+        rows = room_for_row(rows, count)
+        row = rows[count]
+        for axis in range(3):
+            row[POSITION + axis] = space.table[k, X + axis] + away * outward[axis]
+            row[NORMAL + axis] = row[OTHER_NORMAL + axis] = outward[axis]
+            row[ALONG + axis] = 0.0
+        row[SLACK] = SPHERE_SLACK
+        if inside(space, row) and _free(space, row):
+            count += 1
+    return rows, count
+
+
+@njit(cache=True, error_model="numpy")
+def _free(space: FreeSpace, point: FloatArray) -> bool:
     for k in range(space.table.shape[0]):
         if point_distance(space.table[k], point[0], point[1], point[2]) < space.needs[k]:
             return False

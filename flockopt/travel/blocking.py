@@ -7,42 +7,24 @@ question far more often than any other.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flockopt.geometry.distances import BOX, CYLINDER
+from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, X, Y, Z
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.geometry.kernels import SEGMENT_TOLERANCE_M, segment_distance
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["Space", "blocked_pairs", "blocker", "make_space", "too_near"]
+__all__ = ["blocked_pairs", "blocker", "too_near"]
 
 #: Most steps towards the least distance to a rim; the squared distance is then exact to rounding.
 RIM_STEPS = 14
 
 
-class Space(NamedTuple):
-    """What a segment is checked against."""
-
-    table: FloatArray  # (K, 9) obstacle rows
-    needs: FloatArray  # (K,) m, least distance of a drone's centre, > 0
-    reach: FloatArray  # (K,) m, radius of the circle around the footprint grown by needs
-    lower: FloatArray  # (3,) m, bounds
-    upper: FloatArray  # (3,) m
-
-
-def make_space(table: FloatArray, needs: FloatArray, lower: FloatArray, upper: FloatArray) -> Space:
-    """Obstacles, needs and bounds, with what culls most checks."""
-    needs = np.array(needs, dtype=np.float64)
-    corner = np.where(table[:, 0] == BOX, np.hypot(table[:, 4], table[:, 5]), table[:, 4])
-    bounds = (np.array(bound, dtype=np.float64) for bound in (lower, upper))
-    return Space(np.array(table, dtype=np.float64), needs, corner + needs, *bounds)
-
-
 @njit(cache=True, error_model="numpy")
-def blocker(space: Space, p: FloatArray, q: FloatArray, guess: int) -> int:
+def blocker(space: FreeSpace, p: FloatArray, q: FloatArray, guess: int) -> int:
     """An obstacle that the segment p-q comes too near to, or -1; ``guess`` (or -1) is tried first."""
     table, needs, reach = space.table, space.needs, space.reach
     if guess >= 0 and too_near(table, guess, needs[guess], p, q):
@@ -53,11 +35,11 @@ def blocker(space: Space, p: FloatArray, q: FloatArray, guess: int) -> int:
     squared = dx * dx + dy * dy
     length = math.sqrt(squared)
     for k in range(table.shape[0]):
-        tall = table[k, 6] + needs[k]
-        if low > table[k, 3] + tall or high < table[k, 3] - tall:
+        tall = table[k, HALF_Z] + needs[k]
+        if low > table[k, Z] + tall or high < table[k, Z] - tall:
             continue
         across = reach[k] * length
-        cx, cy = table[k, 1] - x, table[k, 2] - y
+        cx, cy = table[k, X] - x, table[k, Y] - y
         if abs(dx * cy - dy * cx) > across:
             continue
         ahead = dx * cx + dy * cy
@@ -69,7 +51,7 @@ def blocker(space: Space, p: FloatArray, q: FloatArray, guess: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def blocked_pairs(space: Space, points: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+def blocked_pairs(space: FreeSpace, points: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether the straight flights between pairs (L, 2) of points (P, 3) come too near to some obstacle, (L,)."""
     blocked = np.zeros(pairs.shape[0], dtype=np.bool_)
     p, q = np.empty(3), np.empty(3)
@@ -88,9 +70,9 @@ def too_near(table: FloatArray, k: int, need: float, p: FloatArray, q: FloatArra
     room = need - SEGMENT_TOLERANCE_M
     if room <= 0.0:
         return segment_distance(table[k], p, q, need, room) < room
-    if table[k, 0] == BOX:
+    if table[k, SHAPE] == BOX:
         return _box_too_near(table, k, room, p, q)
-    if table[k, 0] == CYLINDER:
+    if table[k, SHAPE] == CYLINDER:
         return _cylinder_too_near(table, k, room, p, q)
     return _sphere_too_near(table, k, room, p, q)
 
@@ -119,10 +101,10 @@ def _box_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: Floa
     Its slope is piecewise linear and bends where a coordinate crosses a face: between the two bends around the
     minimum the slope's zero is found by one interpolation.
     """
-    h0, h1, h2 = table[k, 4], table[k, 5], table[k, 6]
-    cos_yaw, sin_yaw = table[k, 7], table[k, 8]
-    px, py, ox, oy = p[0] - table[k, 1], p[1] - table[k, 2], q[0] - p[0], q[1] - p[1]
-    x0, x1, x2 = cos_yaw * px + sin_yaw * py, cos_yaw * py - sin_yaw * px, p[2] - table[k, 3]
+    h0, h1, h2 = table[k, HALF_X], table[k, HALF_Y], table[k, HALF_Z]
+    cos_yaw, sin_yaw = table[k, COS_YAW], table[k, SIN_YAW]
+    px, py, ox, oy = p[0] - table[k, X], p[1] - table[k, Y], q[0] - p[0], q[1] - p[1]
+    x0, x1, x2 = cos_yaw * px + sin_yaw * py, cos_yaw * py - sin_yaw * px, p[2] - table[k, Z]
     d0, d1, d2 = cos_yaw * ox + sin_yaw * oy, cos_yaw * oy - sin_yaw * ox, q[2] - p[2]
     low, high = _within(0.0, 1.0, x0, d0, h0 + room)
     if low >= high:
@@ -168,9 +150,9 @@ def _box_slope(
 @njit(cache=True, error_model="numpy")
 def _cylinder_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
     """Closed form beside the cylinder and over its flat ends; only near a rim the distance is iterated."""
-    x, y, z = p[0] - table[k, 1], p[1] - table[k, 2], p[2] - table[k, 3]
+    x, y, z = p[0] - table[k, X], p[1] - table[k, Y], p[2] - table[k, Z]
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    radius, half = table[k, 4], table[k, 6]
+    radius, half = table[k, HALF_X], table[k, HALF_Z]
     low, high = _within(0.0, 1.0, z, dz, half + room)
     if low >= high:
         return False
@@ -229,9 +211,9 @@ def _rim_slope(a: float, b: float, c: float, radius: float, t: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _sphere_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
-    x, y, z = table[k, 1] - p[0], table[k, 2] - p[1], table[k, 3] - p[2]
+    x, y, z = table[k, X] - p[0], table[k, Y] - p[1], table[k, Z] - p[2]
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     squared = dx * dx + dy * dy + dz * dz
     t = min(max((x * dx + y * dy + z * dz) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
     x, y, z = x - t * dx, y - t * dy, z - t * dz
-    return x * x + y * y + z * z < (table[k, 4] + room) ** 2
+    return x * x + y * y + z * z < (table[k, HALF_X] + room) ** 2

@@ -12,12 +12,17 @@ import math
 import numpy as np
 from numba import njit
 
-from flockopt.geometry.distances import BOX, SPHERE
+from flockopt.geometry.distances import BOX, COS_YAW, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, SPHERE, X, Y, Z
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.geometry.kernels import point_distance, point_gradient
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.blocking import Space
 
-__all__ = ["NUM_SIDES", "feature_edges", "room_for_row"]
+__all__ = ["ENDS_BEND", "FIRST", "FROM", "NUM_SIDES", "OWNER", "SECOND", "TO", "feature_edges", "room_for_row"]
+
+#: Where an edge's columns begin: both ends, (3,) m each, the outward normals of the two faces that meet there, (3,) each,
+#: the obstacle it belongs to (-1 if none), and whether its ends are places to bend at too.
+FROM, TO, FIRST, SECOND, OWNER, ENDS_BEND = 0, 3, 6, 9, 12, 13
+NUM_EDGE_COLUMNS = 14
 
 #: Sides of the polygon around a grown footprint: a multiple of four, so that a box keeps its faces.
 NUM_SIDES = 8
@@ -31,9 +36,9 @@ MOST_PROJECTIONS, LEAST_STEP_M = 60, 1e-7
 GAP_POINT_M = 1e-4
 
 
-def feature_edges(space: Space) -> FloatArray:
-    """The edges, (E, 14): both ends, both outward normals, owner (-1 if none), and whether the ends are features."""
-    return np.concatenate([_prism_edges(space.table, space.needs), _gap_edges(space.table, space.needs, space.reach)])
+def feature_edges(space: FreeSpace) -> FloatArray:
+    """The edges, (E, 14), a row each: see `FROM` and the columns after it."""
+    return np.concatenate([_prism_edges(space), _gap_edges(space)])
 
 
 @njit(cache=True, error_model="numpy")
@@ -56,84 +61,88 @@ def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: Float
     for side in range(sides):
         angle = 2.0 * math.pi * side / sides
         u, v = math.cos(angle), math.sin(angle)
-        reach = row[4] * abs(u) + row[5] * abs(v) if row[0] == BOX else row[4]
+        reach = row[HALF_X] * abs(u) + row[HALF_Y] * abs(v) if row[SHAPE] == BOX else row[HALF_X]
         support[side] = reach + need
-        normals[side, 0], normals[side, 1] = row[7] * u - row[8] * v, row[8] * u + row[7] * v
+        normals[side, 0], normals[side, 1] = row[COS_YAW] * u - row[SIN_YAW] * v, row[SIN_YAW] * u + row[COS_YAW] * v
     for side in range(sides):
         after = (side + 1) % sides
         a, b, c, d = normals[side, 0], normals[side, 1], normals[after, 0], normals[after, 1]
         cross = a * d - b * c
-        corners[side, 0] = row[1] + (support[side] * d - support[after] * b) / cross
-        corners[side, 1] = row[2] + (support[after] * a - support[side] * c) / cross
+        corners[side, 0] = row[X] + (support[side] * d - support[after] * b) / cross
+        corners[side, 1] = row[Y] + (support[after] * a - support[side] * c) / cross
 
 
 @njit(cache=True, error_model="numpy")
-def _prism_edges(table: FloatArray, needs: FloatArray) -> FloatArray:
+def _prism_edges(space: FreeSpace) -> FloatArray:
     """Edges of the prisms that enclose the grown boxes and cylinders, (E, 14)."""
-    edges = np.empty((table.shape[0] * 3 * NUM_SIDES, 14))
+    table, needs = space.table, space.needs
+    edges = np.zeros((table.shape[0] * 3 * NUM_SIDES, NUM_EDGE_COLUMNS))
     normals, corners = np.empty((NUM_SIDES, 2)), np.empty((NUM_SIDES, 2))
     count = 0
     for k in range(table.shape[0]):
         row = table[k]
-        if row[0] == SPHERE:
+        if row[SHAPE] == SPHERE:
             continue
         _footprint(row, needs[k], normals, corners)
-        bottom, top = row[3] - row[6] - needs[k], row[3] + row[6] + needs[k]
+        bottom, top = row[Z] - row[HALF_Z] - needs[k], row[Z] + row[HALF_Z] + needs[k]
         for side in range(NUM_SIDES):
             after = (side + 1) % NUM_SIDES
             edge = edges[count]
-            edge[0:2], edge[2] = corners[side], bottom
-            edge[3:5], edge[5] = corners[side], top
-            edge[6:8], edge[8] = normals[side], 0.0
-            edge[9:11], edge[11] = normals[after], 0.0
-            edge[12], edge[13] = k, 1.0
+            for axis in range(2):
+                edge[FROM + axis] = edge[TO + axis] = corners[side, axis]
+                edge[FIRST + axis], edge[SECOND + axis] = normals[side, axis], normals[after, axis]
+            edge[FROM + 2], edge[TO + 2] = bottom, top
+            edge[OWNER], edge[ENDS_BEND] = k, 1.0
             count += 1
             # the short sides that round a box's corners are covered by the ends of the vertical edges
-            if row[0] == BOX and side % (NUM_SIDES // 4) != 0:
+            if row[SHAPE] == BOX and side % (NUM_SIDES // 4) != 0:
                 continue
             before = (side - 1) % NUM_SIDES
             for level, up in ((bottom, -1.0), (top, 1.0)):
                 edge = edges[count]
-                edge[0:2], edge[2] = corners[before], level
-                edge[3:5], edge[5] = corners[side], level
-                edge[6:8], edge[8] = normals[side], 0.0
-                edge[9:11], edge[11] = 0.0, up
-                edge[12], edge[13] = k, 0.0
+                for axis in range(2):
+                    edge[FROM + axis], edge[TO + axis] = corners[before, axis], corners[side, axis]
+                    edge[FIRST + axis] = normals[side, axis]
+                edge[FROM + 2] = edge[TO + 2] = level
+                edge[SECOND + 2], edge[OWNER] = up, k
                 count += 1
     return edges[:count]
 
 
 @njit(cache=True, error_model="numpy")
-def _gap_edges(table: FloatArray, needs: FloatArray, reach: FloatArray) -> FloatArray:
+def _gap_edges(space: FreeSpace) -> FloatArray:
     """Upright lines through gaps narrower than the corners around them stand out, (E, 14); any bend is good there."""
-    edges, count = np.zeros((8, 14)), 0
+    table, needs, reach = space.table, space.needs, space.reach
+    edges, count = np.zeros((8, NUM_EDGE_COLUMNS)), 0
     middle = np.empty(3)
     for first in range(table.shape[0]):
         for second in range(first + 1, table.shape[0]):
             narrow = max(_excess(table[first], needs[first]), _excess(table[second], needs[second]))
-            apart = math.hypot(table[first, 1] - table[second, 1], table[first, 2] - table[second, 2])
-            low = max(table[first, 3] - table[first, 6] - needs[first], table[second, 3] - table[second, 6] - needs[second])
-            high = min(table[first, 3] + table[first, 6] + needs[first], table[second, 3] + table[second, 6] + needs[second])
+            apart = math.hypot(table[first, X] - table[second, X], table[first, Y] - table[second, Y])
+            low = max(
+                table[first, Z] - table[first, HALF_Z] - needs[first], table[second, Z] - table[second, HALF_Z] - needs[second]
+            )
+            high = min(
+                table[first, Z] + table[first, HALF_Z] + needs[first], table[second, Z] + table[second, HALF_Z] + needs[second]
+            )
             if apart > reach[first] + reach[second] + narrow or low >= high:
                 continue
-            gap = _gap(table, needs, first, second, 0.5 * (low + high), middle)
+            gap = _gap(space, first, second, 0.5 * (low + high), middle)
             if gap < 0.0 or gap > narrow:
                 continue
-            if table[first, 0] == SPHERE or table[second, 0] == SPHERE:
+            if table[first, SHAPE] == SPHERE or table[second, SHAPE] == SPHERE:
                 low, high = middle[2] - GAP_POINT_M, middle[2] + GAP_POINT_M
             # before and behind the gap as far as the next corners: what those see is seen from there
             back = BACK_SHARE / CORNER_EXCESS * narrow
-            across_x, across_y = table[first, 1] - middle[0], table[first, 2] - middle[1]
+            across_x, across_y = table[first, X] - middle[0], table[first, Y] - middle[1]
             across = max(math.hypot(across_x, across_y), 1e-9)
             for side in range(-1, 2):
                 edges = room_for_row(edges, count)
-                for column in range(14):
-                    edges[count, column] = 0.0
-                for end in range(2):
-                    edges[count, 3 * end] = middle[0] - side * back * across_y / across
-                    edges[count, 3 * end + 1] = middle[1] + side * back * across_x / across
-                    edges[count, 3 * end + 2] = low if end == 0 else high
-                edges[count, 12] = -1.0
+                edge = edges[count]
+                edge[:] = 0.0
+                edge[FROM] = edge[TO] = middle[0] - side * back * across_y / across
+                edge[FROM + 1] = edge[TO + 1] = middle[1] + side * back * across_x / across
+                edge[FROM + 2], edge[TO + 2], edge[OWNER] = low, high, -1.0
                 count += 1
     return edges[:count]
 
@@ -141,19 +150,20 @@ def _gap_edges(table: FloatArray, needs: FloatArray, reach: FloatArray) -> Float
 @njit(cache=True, error_model="numpy")
 def _excess(row: FloatArray, need: float) -> float:
     """How far a feature may stand out from the grown obstacle, metres."""
-    if row[0] == BOX:
+    if row[SHAPE] == BOX:
         return CORNER_EXCESS * need
-    return (NET_EXCESS if row[0] == SPHERE else CORNER_EXCESS) * (row[4] + need)
+    return (NET_EXCESS if row[SHAPE] == SPHERE else CORNER_EXCESS) * (row[HALF_X] + need)
 
 
 @njit(cache=True, error_model="numpy")
-def _gap(table: FloatArray, needs: FloatArray, first: int, second: int, height: float, middle: FloatArray) -> float:
+def _gap(space: FreeSpace, first: int, second: int, height: float, middle: FloatArray) -> float:
     """Width of the gap that two obstacles leave a drone's centre, by projecting back and forth between them.
 
     Fills the point ``middle`` of the gap; returns -inf where the obstacles touch.
     """
+    table, needs = space.table, space.needs
     here, there = np.empty(3), np.empty(3)
-    there[0], there[1], there[2] = table[first, 1], table[first, 2], height
+    there[0], there[1], there[2] = table[first, X], table[first, Y], height
     distance = np.inf
     for turn in range(MOST_PROJECTIONS):
         row = table[second] if turn % 2 == 0 else table[first]

@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.blocking import Space
 from flockopt.travel.shortening import shorten
 
 __all__ = ["Drawn", "Legs", "draw", "join", "merge", "pack"]
@@ -56,7 +56,7 @@ class Drawn:
         return rows[::-1] if backwards else rows
 
 
-def draw(space: Space, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
+def draw(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
     """``drawn``, shortened; fills ``lengths`` (P, P)."""
     count, bends, along = drawn.count.copy(), drawn.bends.copy(), drawn.along.copy()
     result = shorten(space, points, drawn.pairs, drawn.begin, count, bends, along)
@@ -65,7 +65,7 @@ def draw(space: Space, points: FloatArray, drawn: Drawn, lengths: FloatArray) ->
     return Drawn(drawn.pairs, drawn.begin, count, bends, along)
 
 
-def join(space: Space, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
+def join(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
     """Replace each leg that is longer than the way through some third point by that way, shortened.
 
     Besides mending what sampled features missed, this brings distances nearer to the triangle inequality.

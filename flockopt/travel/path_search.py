@@ -13,10 +13,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.geometry.free_space import FreeSpace
+from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.bends import Features
-from flockopt.travel.blocking import Space, blocker
-from flockopt.travel.sight import HIDDEN, SEEN, UNKNOWN, Sight, look_around, sees, segment_length, tangent, wraps
+from flockopt.travel.blocking import blocker
+from flockopt.travel.sight import HIDDEN, SEEN, UNKNOWN, Sight, look_around, sees, tangent, wraps
 
 __all__ = ["shortest", "within_ellipse"]
 
@@ -26,7 +28,7 @@ MOST_MEMBERS, MOST_SETTLED = 256, 48
 
 @njit(cache=True, error_model="numpy")
 def within_ellipse(
-    space: Space, features: Features, points: FloatArray, views: NDArray[np.uint8], source: int, target: int,
+    space: FreeSpace, features: Features, points: FloatArray, views: NDArray[np.uint8], source: int, target: int,
     from_source: FloatArray, bound: float, parent: NDArray[np.int64],
 ) -> tuple[float, int]:  # fmt: skip
     """A shortest path over features v with ``|source v| + |v target| < bound``.
@@ -163,7 +165,7 @@ def _pop(heap: NDArray[np.int64], place: NDArray[np.int64], key: FloatArray, siz
 
 @njit(cache=True, error_model="numpy")
 def shortest(
-    space: Space, features: Features, sight: Sight, points: FloatArray, views: NDArray[np.uint8],
+    space: FreeSpace, features: Features, sight: Sight, points: FloatArray, views: NDArray[np.uint8],
     source: int, targets: NDArray[np.int64], best: FloatArray, last: NDArray[np.int64], parent: NDArray[np.int64],
 ) -> Sight:  # fmt: skip
     """Shortest paths from one point to several, over features.

@@ -9,12 +9,14 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
+from flockopt.geometry.free_space import FreeSpace, free_space
+from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.bends import Features, make_features, unrestricted
-from flockopt.travel.blocking import Space, blocked_pairs, make_space
+from flockopt.travel.blocking import blocked_pairs
 from flockopt.travel.legs import Drawn, Legs, draw, join, merge, pack
 from flockopt.travel.path_search import shortest, within_ellipse
-from flockopt.travel.sight import Sight, empty_sight, segment_length
+from flockopt.travel.sight import Sight, empty_sight
 
 __all__ = ["Legs", "Roadmap"]
 
@@ -35,8 +37,7 @@ class Roadmap:
     """
 
     def __init__(self, table: FloatArray, needs: ArrayLike, bounds: ArrayLike) -> None:
-        lower, upper = np.asarray(bounds, dtype=np.float64)
-        self._space: Space = make_space(table, np.asarray(needs, dtype=np.float64), lower, upper)
+        self._space = free_space(table, needs, bounds)
         self._features: Features | None = None
         self._sight: Sight | None = None
 
@@ -115,7 +116,7 @@ class Roadmap:
 
 @njit(cache=True, error_model="numpy")
 def _chains(
-    space: Space, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64]
+    space: FreeSpace, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64]
 ) -> tuple[Sight, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """The features that shortest paths between pairs bend around.
 

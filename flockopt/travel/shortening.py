@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flockopt.geometry.distances import SPHERE
+from flockopt.geometry.free_space import FreeSpace, may_meet
+from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.blocking import Space, blocker
-from flockopt.travel.sight import segment_length
+from flockopt.travel.blocking import blocker
 
 __all__ = ["shorten"]
 
@@ -25,7 +25,7 @@ SHARES = (1.0, 0.5, 0.25)
 
 @njit(cache=True, error_model="numpy")
 def shorten(
-    space: Space, points: FloatArray, pairs: NDArray[np.int64], begin: NDArray[np.int64], count: NDArray[np.int64],
+    space: FreeSpace, points: FloatArray, pairs: NDArray[np.int64], begin: NDArray[np.int64], count: NDArray[np.int64],
     bends: FloatArray, along: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Shorten clear polylines between pairs of points in place; they stay clear and never get longer.
@@ -64,7 +64,7 @@ def shorten(
 
 
 @njit(cache=True, error_model="numpy")
-def _shorten_one(space: Space, path: FloatArray, edges: FloatArray, size: int) -> int:
+def _shorten_one(space: FreeSpace, path: FloatArray, edges: FloatArray, size: int) -> int:
     """Shorten the polyline of the first ``size`` vertices; return how many are left."""
     local = _nearby(space, path, size)
     length = np.inf
@@ -96,31 +96,23 @@ def _length(path: FloatArray, size: int) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _nearby(space: Space, path: FloatArray, size: int) -> Space:
+def _nearby(space: FreeSpace, path: FloatArray, size: int) -> FreeSpace:
     """The obstacles that the polyline's bounding box meets: shortening never leaves that box."""
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for i in range(size):
         for axis in range(3):
             lower[axis], upper[axis] = min(lower[axis], path[i, axis]), max(upper[axis], path[i, axis])
-    num_obstacles, num_columns = space.table.shape
-    table, needs, reach = np.empty((num_obstacles, num_columns)), np.empty(num_obstacles), np.empty(num_obstacles)
-    num_kept = 0
-    for k in range(num_obstacles):
-        meets = True
-        for axis in range(3):
-            room = space.table[k, 6] + space.needs[k] if axis == 2 and space.table[k, 0] != SPHERE else space.reach[k]
-            place = space.table[k, 1 + axis]
-            meets = meets and lower[axis] <= place + room and upper[axis] >= place - room
-        if meets:
-            for column in range(num_columns):
-                table[num_kept, column] = space.table[k, column]
-            needs[num_kept], reach[num_kept] = space.needs[k], space.reach[k]
+    kept, num_kept = np.empty(space.table.shape[0], dtype=np.int64), 0
+    for k in range(space.table.shape[0]):
+        if may_meet(space, k, lower, upper):
+            kept[num_kept] = k
             num_kept += 1
-    return Space(table[:num_kept], needs[:num_kept], reach[:num_kept], space.lower, space.upper)
+    kept = kept[:num_kept]
+    return FreeSpace(space.table[kept], space.boxes[kept], space.needs[kept], space.reach[kept], space.lower, space.upper)
 
 
 @njit(cache=True, error_model="numpy")
-def _skip(space: Space, path: FloatArray, edges: FloatArray, size: int) -> int:
+def _skip(space: FreeSpace, path: FloatArray, edges: FloatArray, size: int) -> int:
     """Remove bends whose neighbours see each other; return the new size."""
     i = 1
     guess = -1
@@ -138,7 +130,7 @@ def _skip(space: Space, path: FloatArray, edges: FloatArray, size: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _level(space: Space, path: FloatArray, first: int, last: int) -> None:
+def _level(space: FreeSpace, path: FloatArray, first: int, last: int) -> None:
     """Let the path climb evenly from vertex ``first`` to vertex ``last``, between which all edges are upright.
 
     Unrolled about upright edges the shortest path is straight: height grows with the horizontal way flown.
@@ -170,7 +162,7 @@ def _level(space: Space, path: FloatArray, first: int, last: int) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _slide(space: Space, path: FloatArray, edges: FloatArray, i: int) -> None:
+def _slide(space: FreeSpace, path: FloatArray, edges: FloatArray, i: int) -> None:
     """Move bend i along its edge to where the path is shortest, or as far that way as is clear.
 
     Unfolded about the edge, the neighbours' ends are on one plane, and the shortest path crosses the edge where
@@ -203,7 +195,7 @@ def _slide(space: Space, path: FloatArray, edges: FloatArray, i: int) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _retract(space: Space, path: FloatArray, i: int, toward: int, away: int, least_gain: float) -> None:
+def _retract(space: FreeSpace, path: FloatArray, i: int, toward: int, away: int, least_gain: float) -> None:
     """Move bend i along its own segment to ``toward`` until the other segment touches an obstacle.
 
     The one segment stays on its line, hence clear, and by the triangle inequality the path gets no longer. The

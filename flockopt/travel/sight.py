@@ -9,11 +9,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.bends import Features
-from flockopt.travel.blocking import Space, blocker
+from flockopt.travel.blocking import blocker
 
-__all__ = ["Sight", "empty_sight", "look_around", "sees", "segment_length", "tangent", "wraps"]
+__all__ = ["Sight", "empty_sight", "look_around", "sees", "tangent", "wraps"]
 
 UNKNOWN, SEEN, HIDDEN = 0, 1, 2
 
@@ -35,12 +36,6 @@ def empty_sight(num_features: int) -> Sight:
         np.zeros(num_features, dtype=np.int64),
         np.zeros(1, dtype=np.int64),
     )
-
-
-@njit(cache=True, error_model="numpy")
-def segment_length(p: FloatArray, q: FloatArray) -> float:
-    """Metres."""
-    return math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
 
 
 @njit(cache=True, error_model="numpy")
@@ -79,7 +74,7 @@ def _knows(pool: NDArray[np.int32], begin: int, end: int, u: int) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def look_around(space: Space, features: Features, sight: Sight, u: int) -> Sight:
+def look_around(space: FreeSpace, features: Features, sight: Sight, u: int) -> Sight:
     """Fill the list of feature u: every feature it sees along a line tangent at both."""
     position, first, second, slack = features.position, features.first, features.second, features.slack
     pool, begin, used = sight.pool, sight.begin, sight.used[0]
@@ -115,7 +110,14 @@ def look_around(space: Space, features: Features, sight: Sight, u: int) -> Sight
 
 @njit(cache=True, error_model="numpy")
 def sees(
-    space: Space, features: Features, views: NDArray[np.uint8], point: int, p: FloatArray, u: int, at: FloatArray, guess: int
+    space: FreeSpace,
+    features: Features,
+    views: NDArray[np.uint8],
+    point: int,
+    p: FloatArray,
+    u: int,
+    at: FloatArray,
+    guess: int,
 ) -> int:
     """-1 if the point at p sees feature u, at ``at``, along a line tangent there; else what blocks it (K if unknown)."""
     if views[point, u] != UNKNOWN:

@@ -14,7 +14,7 @@ from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 
-__all__ = ["END", "START", "Paths", "Travel", "places", "straight_travel"]
+__all__ = ["END", "START", "Paths", "Travel", "places", "stops_of", "straight_travel"]
 
 #: Names of a drone's own start and end where a task index is expected.
 START, END = -1, -2
@@ -142,6 +142,11 @@ def _reason(scene: Scene, task: int, able: NDArray[np.bool_]) -> str:
     if gaps[nearest] < need - POSITION_TOLERANCE_M:
         return f"{head}: {obstacle} is {gaps[nearest]:.3g} m away, and radius + clearance is at least {need:.3g} m"
     return f"{head}: walled in, with {obstacle} {gaps[nearest]:.3g} m away the nearest; widen a gap to over {2 * need:.3g} m"
+
+
+def stops_of(scene: Scene, drone: int, route: Sequence[int]) -> list[int]:
+    """Where a drone goes: `START`, its tasks in order, and `END` if it has an end."""
+    return [START, *route] + ([END] if scene.drones[drone].end_point is not None else [])
 
 
 def straight_travel(scene: Scene) -> Travel:

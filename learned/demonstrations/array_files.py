@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from flockopt.errors import SettingsError
 from flockopt.records import checks, files
 
-__all__ = ["Arrays", "Layout", "layout_faults", "read_arrays", "shard_path", "write_arrays"]
+__all__ = ["ArrayLayout", "Arrays", "layout_faults", "read_arrays", "shard_path", "write_arrays"]
 
 Arrays = dict[str, NDArray[Any]]
 
 #: Kind of number and shape of arrays by name; letters stand for lengths.
-Layout: TypeAlias = "Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]]"
+ArrayLayout: TypeAlias = "Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]]"
 
 #: What numpy and zipfile raise on damaged files, encryption and unknown compression included.
 UNREADABLE = (OSError, ValueError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError)
@@ -39,7 +39,7 @@ def write_arrays(path: Path, arrays: Arrays, file_format: str) -> None:
     files.write_whole(SettingsError, path, content.getvalue())
 
 
-def read_arrays(path: Path, layout: Layout, file_format: str, mend: str) -> Arrays:
+def read_arrays(path: Path, layout: ArrayLayout, file_format: str, mend: str) -> Arrays:
     """The arrays of a file that holds those of a layout and no others; `layout_faults` looks into them.
 
     Raises:
@@ -59,7 +59,7 @@ def read_arrays(path: Path, layout: Layout, file_format: str, mend: str) -> Arra
 
 
 def layout_faults(
-    arrays: Arrays, layout: Layout, sizes: Mapping[int | str, int], offsets: Mapping[str, str]
+    arrays: Arrays, layout: ArrayLayout, sizes: Mapping[int | str, int], offsets: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
     """What is wrong with shapes, kinds, numbers and offsets, as name and complaint; what comes after may hang on it.
 

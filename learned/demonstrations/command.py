@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
 
 from flockopt import SettingsError
 from flockopt.batches.backends import BACKENDS
@@ -13,13 +11,9 @@ from flockopt.batches.progress import ProgressBar
 from flockopt.records import checks
 from flockopt.scene.families.layouts import FAMILIES
 from learned.demonstrations.scenes import SceneMix
+from learned.demonstrations.shard_runs import ShardRun
 
-__all__ = ["ShardWriter", "add_options", "mix_of", "write_with_bar"]
-
-
-#: Writes the shards that a folder does not hold yet, as `learned.demonstrations.shard_runs.ShardRun.go` does: folder, number of scenes,
-#: and the keywords jobs, backend, begun, done, warn.
-ShardWriter: TypeAlias = Callable[..., None]
+__all__ = ["add_options", "mix_of", "write_with_bar"]
 
 
 def add_options(parser: argparse.ArgumentParser, mix: SceneMix, scenes: int) -> None:
@@ -51,19 +45,18 @@ def mix_of(options: argparse.Namespace) -> SceneMix:
     return SceneMix(options.family, options.hard, options.usual, options.margin)
 
 
-def write_with_bar(options: argparse.Namespace, write: ShardWriter) -> None:
+def write_with_bar(options: argparse.Namespace, run: ShardRun) -> None:
     """Have the shards written that were asked for, with a progress bar.
 
     Raises:
-        SettingsError: On bad counts, an unknown backend, or what ``write`` finds.
+        SettingsError: On bad counts, an unknown backend, or what `ShardRun.go` finds.
     """
     scenes = checks.integer(SettingsError, "scenes", options.scenes, least=1)
     jobs = checks.integer(SettingsError, "jobs", options.jobs, least=1)
-    if options.backend not in BACKENDS:
-        raise SettingsError("backend", f"is {options.backend!r}", f"must be one of {', '.join(BACKENDS)}", "choose one")
+    checks.choice(SettingsError, "backend", options.backend, known=BACKENDS)
     bars: list[ProgressBar] = []
-    write(
-        options.out, scenes, jobs=jobs, backend=options.backend,
+    run.go(
+        scenes, jobs=jobs, backend=options.backend,
         begun=lambda total, done: bars.append(ProgressBar(total, done)),
         done=lambda words: bars[0].advance(words), warn=lambda words: bars[0].note(words),
     )  # fmt: skip

@@ -8,7 +8,7 @@ little about going around things.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from flockopt.records import checks
 from flockopt.scene import Box, Cylinder, Obstacle, Scene, Sphere
 from flockopt.scene.families.generate import generate
 from flockopt.scene.families.layouts import FAMILIES
+from flockopt.scene.families.settings import FamilySettings
 from learned.paths.rollout import anchors_of
 
 __all__ = ["SceneMix", "blocked_routes", "draw_scene", "random_bundles"]
@@ -60,22 +61,13 @@ class SceneMix:
     margin: float = 0.1
 
     def __post_init__(self) -> None:
-        if self.family not in (*FAMILIES, "all"):
-            rule = f"must be one of {', '.join(FAMILIES)} or all"
-            raise SettingsError("family", f"is {checks.shown(self.family)}", rule, "choose one")
-        for field in ("hard_share", "usual_share"):
-            if not 0.0 <= checks.number(SettingsError, field, getattr(self, field)) <= 1.0:
-                raise SettingsError(field, f"is {getattr(self, field):g}", "must be from 0 to 1", "give a share")
-        most_m = _family_margin_m()
-        if not 0.0 <= checks.number(SettingsError, "margin", self.margin) <= most_m:
+        checks.store(self, checks.choice, SettingsError, "family", known=(*FAMILIES, "all"))
+        checks.store(self, checks.share, SettingsError, "hard_share", "usual_share")
+        checks.store(self, checks.number, SettingsError, "margin")
+        most_m = FamilySettings.margin
+        if not 0.0 <= self.margin <= most_m:
             rule = f"must be from 0 to {most_m:g} m, what starts and tasks keep"
             raise SettingsError("margin", f"is {self.margin:g}", rule, "choose less")
-
-
-def _family_margin_m() -> float:
-    from flockopt.scene.families.settings import FamilySettings
-
-    return next(float(field.default) for field in fields(FamilySettings) if field.name == "margin")  # type: ignore[arg-type]
 
 
 def draw_scene(mix: SceneMix, seed: int) -> tuple[Scene, bool]:

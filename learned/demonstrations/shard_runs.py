@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flockopt.batches.backends import open_backend, outcomes
+from flockopt.batches.backends import run_round
 from flockopt.batches.run_folder import RunFolder
 from flockopt.errors import SettingsError
 from learned.demonstrations.array_files import Arrays, shard_path
@@ -31,6 +31,7 @@ class ShardRun:
         write: Puts them in a file.
         size: How many scenes a file holds.
         shard_scenes: Scenes in a shard: what is lost when a run is killed.
+        seed: Of the first scene; the others follow.
     """
 
     folder: Path
@@ -40,16 +41,22 @@ class ShardRun:
     write: Callable[[Path, Arrays], None]
     size: Callable[[Path], int]
     shard_scenes: int
+    seed: int
 
     def go(
-        self, num_scenes: int, seed: int, jobs: int, backend: str,
-        begun: Callable[[int, int], object], done: Callable[[str], object], warn: Callable[[str], object],
-    ) -> None:  # fmt: skip
+        self,
+        num_scenes: int,
+        *,
+        jobs: int = 1,
+        backend: str = "loky",
+        begun: Callable[[int, int], object] = lambda total, done: None,
+        done: Callable[[str], object] = lambda words: None,
+        warn: Callable[[str], object] = lambda words: None,
+    ) -> None:
         """Write all shards that the folder does not hold yet.
 
         Args:
             num_scenes: How many scenes it shall hold.
-            seed: Of the first one; the others follow.
             jobs: Workers.
             backend: One of `flockopt.batches.backends.BACKENDS`.
             begun: Told once how many shards there are to be and how many are there.
@@ -60,7 +67,7 @@ class ShardRun:
             SettingsError: If the folder holds another run, is in use, or holds damaged shards.
         """
         with RunFolder(self.folder, self.terms, self.content):
-            shards = list(self._shards(num_scenes, seed))
+            shards = list(self._shards(num_scenes))
             missing = self._missing(shards)
             begun(len(shards), len(shards) - len(missing))
             for deaths in range(MOST_DEATHS + 1):
@@ -72,19 +79,18 @@ class ShardRun:
 
     def _round(self, shards: Sequence[tuple[int, range]], jobs: int, backend: str, done: Callable[[str], object]) -> bool:
         """Make shards until all are there, or until a worker dies: whether all are there."""
-        with open_backend(backend, jobs) as place:
-            try:
-                for number, arrays in outcomes(place, partial(_work, self.make), shards, 2 * jobs):
-                    self.write(shard_path(self.folder, number), arrays)
-                    done(shard_path(self.folder, number).name)
-            except place.deaths:
-                return False
-        return True
 
-    def _shards(self, num_scenes: int, seed: int) -> Iterator[tuple[int, range]]:
+        def take(made: tuple[int, Arrays]) -> None:
+            path = shard_path(self.folder, made[0])
+            self.write(path, made[1])
+            done(path.name)
+
+        return run_round(backend, jobs, partial(_work, self.make), shards, take, ahead=2 * jobs)
+
+    def _shards(self, num_scenes: int) -> Iterator[tuple[int, range]]:
         """Number and seeds of every shard."""
         for number, begin in enumerate(range(0, num_scenes, self.shard_scenes)):
-            yield number, range(seed + begin, seed + min(begin + self.shard_scenes, num_scenes))
+            yield number, range(self.seed + begin, self.seed + min(begin + self.shard_scenes, num_scenes))
 
     def _missing(self, shards: Sequence[tuple[int, range]]) -> list[tuple[int, range]]:
         """Shards that are not there, or hold too few scenes."""

@@ -3,36 +3,35 @@
     python -m learned.demonstrations.timed --scenes 3000 --seed 0 --out runs/timed
 
 Killed and started again, it goes on where it stopped; asked for more scenes, it adds them. The same settings give the same
-bytes, whatever the number of jobs. `learned.demonstrations.timed_shards.load_stages` reads them; docs/timed-flights.md says what is in
-them. Exit status 0, or 2 on bad input.
+bytes, whatever the number of jobs. `learned.demonstrations.timed_shards.load_stages` reads them; docs/timed-flights.md says
+what is in them. Exit status 0, or 2 on bad input.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flockopt import FlockError, SettingsError, certify, compute_travel, decode, deconflict, refine_bundles
-from flockopt.bundles import Bundles
+from flockopt import SettingsError, compute_travel, decode, refine_bundles
+from flockopt.cli.status import run_command
 from flockopt.flights import Flight
 from flockopt.flights.smoothing.smooth import Smoothed, smooth_each
 from flockopt.flights.smoothing.stages import split
-from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.planning.finish import GivenFlights, finish
 from flockopt.records import checks
+from flockopt.records.status import Status
 from flockopt.scene import Scene
-from flockopt.travel import Travel
 from learned.demonstrations.array_files import Arrays
 from learned.demonstrations.command import add_options, mix_of, write_with_bar
 from learned.demonstrations.scenes import SceneMix, draw_scene, random_bundles
 from learned.demonstrations.shard_runs import ShardRun
 from learned.demonstrations.timed_shards import StageRecord, TimedScene, pack_scenes, read_shard, write_shard
 
-__all__ = ["TimedSettings", "main", "make_shard", "write_timed"]
+__all__ = ["TimedSettings", "main", "make_shard", "timed_shards"]
 
 #: Scenes in a shard: what is lost when a run is killed.
 SHARD_SCENES = 50
@@ -58,7 +57,7 @@ class TimedSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        checks.integer(SettingsError, "seed", self.seed, least=0)
+        checks.store(self, checks.integer, SettingsError, "seed", least=0)
 
     def terms(self) -> dict[str, Any]:
         """What shards of one folder share."""
@@ -76,18 +75,12 @@ def _demonstrated(mix: SceneMix, seed: int) -> TimedScene:
     room = scene.replace(clearance=scene.clearance + mix.margin)
     travel = compute_travel(room)
     bundles = random_bundles(room, seed) if is_hard else refine_bundles(room, travel=travel, seed=seed)
-    given = {} if bundles.status == "infeasible" else decode(room, bundles, travel=travel)
+    given = {} if bundles.status == Status.INFEASIBLE else decode(room, bundles, travel=travel)
     reports = smooth_each(room, given)
-    certified = bool(given) and _is_certified(room, travel, bundles, {name: each.flight for name, each in reports.items()})
+    smoothed = GivenFlights({name: each.flight for name, each in reports.items()})
+    certified = bool(given) and finish(room, travel, bundles, smoothed, planner="search").status == Status.CERTIFIED
     stages = tuple(_stages(room, given, reports)) if certified else ()
     return TimedScene(seed, is_hard, room, certified, sum(each.iterations for each in reports.values()), stages)
-
-
-def _is_certified(scene: Scene, travel: Travel, bundles: Bundles, flights: dict[str, Flight]) -> bool:
-    """Whether the fleet's flights, kept apart, pass the judge."""
-    apart = deconflict(scene, bundles, flights, travel=travel).flights
-    draft = replace(draft_plan(scene, "search", bundles), flights=apart, cost=plan_cost(travel, bundles, apart, None))
-    return certify(scene, draft, travel=travel, bound=None).certified
 
 
 def _stages(scene: Scene, given: Mapping[str, Flight], reports: Mapping[str, Smoothed]) -> Iterator[StageRecord]:
@@ -102,26 +95,10 @@ def _stages(scene: Scene, given: Mapping[str, Flight], reports: Mapping[str, Smo
                 yield StageRecord.of(scene, drones[name], guess, after)
 
 
-def write_timed(
-    folder: Path,
-    num_scenes: int,
-    settings: TimedSettings,
-    *,
-    jobs: int = 1,
-    backend: str = "loky",
-    begun: Callable[[int, int], object] = lambda total, done: None,
-    done: Callable[[str], object] = lambda words: None,
-    warn: Callable[[str], object] = lambda words: None,
-) -> None:
-    """Write all shards that the folder does not hold yet: see `learned.demonstrations.shard_runs.ShardRun`.
-
-    Raises:
-        SettingsError: If the folder holds other demonstrations, is in use, or holds damaged ones.
-        MissingExtra: If CasADi is not installed.
-    """
-    terms, make = settings.terms(), partial(make_shard, settings)
-    run = ShardRun(folder, terms, "timed demonstrations", make, write_shard, _size, SHARD_SCENES)
-    run.go(num_scenes, settings.seed, jobs, backend, begun, done, warn)
+def timed_shards(folder: Path, settings: TimedSettings) -> ShardRun:
+    """The shards of a folder; `ShardRun.go` makes those that it does not hold yet, if CasADi is installed."""
+    make, content = partial(make_shard, settings), "timed demonstrations"
+    return ShardRun(folder, settings.terms(), content, make, write_shard, _size, SHARD_SCENES, settings.seed)
 
 
 def _size(path: Path) -> int:
@@ -132,12 +109,7 @@ def _size(path: Path) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    try:
-        _run(options)
-    except FlockError as fault:
-        print(f"learned.demonstrations.timed: {fault}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command("learned.demonstrations.timed", lambda: _run(options))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -147,8 +119,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> None:
-    settings = TimedSettings(mix_of(options), options.seed)
-    write_with_bar(options, partial(write_timed, settings=settings))
+    write_with_bar(options, timed_shards(options.out, TimedSettings(mix_of(options), options.seed)))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from flockopt.flights.smoothing.acceptance import JOINT_PHASE, limits_of
 from flockopt.flights.smoothing.stages import Stage
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Scene
-from learned.demonstrations.array_files import Arrays, Layout, layout_faults, read_arrays, write_arrays
+from learned.demonstrations.array_files import ArrayLayout, Arrays, layout_faults, read_arrays, write_arrays
 
 __all__ = ["NO_PHASE", "StageRecord", "TimedScene", "anchors_at", "load_stages", "pack_scenes", "read_shard", "write_shard"]
 
@@ -29,7 +29,7 @@ FORMAT = "flockopt.timed-demonstrations/1"
 NO_PHASE = -1.0
 
 #: S scenes, K obstacles of all of them; R stages, and J joints of all of them.
-LAYOUT: Layout = {
+LAYOUT: ArrayLayout = {
     "seed": (np.int64, ("S",)), "family": (np.str_, ("S",)), "hard": (np.bool_, ("S",)), "certified": (np.bool_, ("S",)),
     "bounds": (np.float64, ("S", 2, 3)), "clearance": (np.float64, ("S",)), "teacher_iterations": (np.int64, ("S",)),
     "obstacle_offsets": (np.int64, ("S+1",)), "obstacles": (np.float64, ("K", 9)),

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from flockopt.errors import SettingsError
-from learned.networks.weight_files import load_weights, save_weights
+from learned.networks.weight_files import load_weights, save_weights, to_floats
 
-__all__ = ["CHECKPOINT_KIND", "fill", "in_bfloat16", "restore", "save_checkpoint"]
+__all__ = ["CHECKPOINT_KIND", "fill", "in_bfloat16", "load_network", "restore", "save_checkpoint"]
+
+Settings = TypeVar("Settings")
+Trained = TypeVar("Trained", bound=nn.Module)
 
 #: The kind of weight file that a checkpoint is.
 CHECKPOINT_KIND = "student-checkpoint"
@@ -37,6 +41,31 @@ def fill(student: nn.Module, tensors: dict[str, Tensor], path: str | Path) -> No
         raise SettingsError(
             "weights", f"{path} does not fit ({words})", "names and shapes must be the network's", MEND
         ) from None
+
+
+def load_network(
+    path: str | Path, kind: str, key: str, settings: Callable[[Any], Settings], make: Callable[[Settings], Trained]
+) -> Trained:
+    """A network in evaluation mode from a weight file.
+
+    Args:
+        path: The file.
+        kind: Whose weights they must be.
+        key: What the network's settings are called in the file's header.
+        settings: Reads them.
+        make: The network of such settings.
+
+    Raises:
+        SettingsError: If the file is missing, damaged, foreign, holds bad settings, or its weights do not fit them.
+        MissingExtra: If safetensors is not installed.
+    """
+    tensors, header = load_weights(path, kind)
+    try:
+        network = make(settings(header.get(key)))
+    except SettingsError as fault:
+        raise fault.within(f"weights: {path}: {key}") from None
+    fill(network, to_floats(tensors), path)
+    return network.eval()
 
 
 def save_checkpoint(

@@ -24,6 +24,7 @@ def signal_levels(num_noise_levels: int) -> Tensor:
     """(S + 1,): the cumulative signal coefficient of each noise level, 1 at level 0."""
     steps = torch.arange(num_noise_levels + 1, dtype=torch.float64) / num_noise_levels
     cosines = torch.cos((steps + OFFSET) / (1 + OFFSET) * math.pi / 2).square()
+    # the signal falls as a squared cosine; the last step would leave none of it, and is cut off
     betas = (1.0 - cosines[1:] / cosines[:-1]).clamp(max=MOST_BETA)
     return torch.cat([torch.ones(1, dtype=torch.float64), (1.0 - betas).cumprod(dim=0)]).float()
 
@@ -66,5 +67,6 @@ def ddim(denoise: Callable[[Tensor, Tensor], Tensor], noise: Tensor, steps: int,
 
 def ddim_step(noisy: Tensor, clean: Tensor, signal: float, following: float) -> Tensor:
     """From samples with signal coefficient ``signal``, and what was predicted of them, to those with ``following``."""
+    # the noise that clean samples imply, put back at its new strength (Song et al. 2021, equation 12 with sigma = 0)
     rest = (noisy - math.sqrt(signal) * clean) / math.sqrt(1.0 - signal)
     return math.sqrt(following) * clean + math.sqrt(1.0 - following) * rest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from flockopt.geometry.distances import BOX, CYLINDER
+from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Z, SHAPE, SIN_YAW, X, Z
 
 __all__ = ["outward", "signed_distance", "to_local"]
 
@@ -15,8 +15,8 @@ TINY = 1e-6
 
 def to_local(table: Tensor, points: Tensor) -> Tensor:
     """Offsets of points (..., 3) from obstacles (..., 9) along the obstacles' own axes."""
-    offset = points - table[..., 1:4]
-    cos_yaw, sin_yaw = table[..., 7], table[..., 8]
+    offset = points - table[..., X : Z + 1]
+    cos_yaw, sin_yaw = table[..., COS_YAW], table[..., SIN_YAW]
     x = cos_yaw * offset[..., 0] + sin_yaw * offset[..., 1]
     y = -sin_yaw * offset[..., 0] + cos_yaw * offset[..., 1]
     return torch.stack([x, y, offset[..., 2]], dim=-1)
@@ -24,7 +24,7 @@ def to_local(table: Tensor, points: Tensor) -> Tensor:
 
 def signed_distance(table: Tensor, points: Tensor) -> Tensor:
     """Signed distance of points (..., 3) to obstacles (..., 9), negative inside; leading axes broadcast."""
-    shape, halves = table[..., 0], table[..., 4:7]
+    shape, halves = table[..., SHAPE], table[..., HALF_X : HALF_Z + 1]
     local = to_local(table, points)
     flat = _length(local[..., :2])
     box = _prism(local.abs() - halves)
@@ -35,7 +35,7 @@ def signed_distance(table: Tensor, points: Tensor) -> Tensor:
 
 def outward(table: Tensor, points: Tensor) -> Tensor:
     """The gradient of `signed_distance` with respect to the points, (..., 3): away from the nearest surface."""
-    shape, halves = table[..., 0], table[..., 4:7]
+    shape, halves = table[..., SHAPE], table[..., HALF_X : HALF_Z + 1]
     local = to_local(table, points)
     flat = _length(local[..., :2])
     sign = torch.where(local >= 0.0, 1.0, -1.0)
@@ -46,7 +46,7 @@ def outward(table: Tensor, points: Tensor) -> Tensor:
     sphere = local / _length(local)[..., None]
     kind = shape[..., None]
     gradient = torch.where(kind == BOX, box, torch.where(kind == CYLINDER, cylinder, sphere))
-    cos_yaw, sin_yaw = table[..., 7], table[..., 8]
+    cos_yaw, sin_yaw = table[..., COS_YAW], table[..., SIN_YAW]
     x = cos_yaw * gradient[..., 0] - sin_yaw * gradient[..., 1]
     y = sin_yaw * gradient[..., 0] + cos_yaw * gradient[..., 1]
     return torch.stack([x, y, gradient[..., 2]], dim=-1)
@@ -63,6 +63,7 @@ def _prism(excess: Tensor) -> Tensor:
 
 
 def _prism_gradient(excess: Tensor) -> Tensor:
+    """The gradient of `_prism`: outside the unit vector of the positive excess, inside that of the nearest face."""
     outside = excess.clamp(min=0.0)
     deepest = (excess == excess.amax(dim=-1, keepdim=True)).to(excess.dtype)
     inside = (excess.amax(dim=-1, keepdim=True) <= 0.0).to(excess.dtype)

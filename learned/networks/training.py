@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import copy
-import hashlib
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -19,8 +19,10 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from flockopt.batches.progress import ProgressBar
 from flockopt.errors import SettingsError
 from learned.networks.checkpoint import restore, save_checkpoint
+from learned.networks.schedule import PRECISIONS, Schedule
+from learned.networks.weight_files import file_digest
 
-__all__ = ["PRECISIONS", "Learner", "Run", "add_run_options", "held_out", "is_bfloat16", "rate_at", "settings_of"]
+__all__ = ["Learner", "Run", "add_run_options", "held_out", "is_bfloat16", "settings_of"]
 
 #: Of the examples, this share is held out to measure on.
 HELD_OUT_SHARE = 0.05
@@ -31,32 +33,14 @@ CHECKPOINT_STEPS, LOG_STEPS = 250, 25
 #: On the few tokens of a drone the fused kernels' backward pass takes several times longer, in bfloat16 on CPUs.
 SHORT_SEQUENCES = [SDPBackend.MATH]
 
-#: ``auto`` is bfloat16 where the hardware multiplies in it, float32 elsewhere.
-PRECISIONS = ("auto", "float32", "bfloat16")
-
-#: The learning rate ends at this share of its highest.
-LAST_RATE = 0.02
-
 Item = TypeVar("Item")
-Settings = TypeVar("Settings")
+Settings = TypeVar("Settings", bound=Schedule)
 
 
-class Schedule(Protocol):
-    """The settings that every training has."""
-
-    steps: int
-    learning_rate: float
-    warmup_steps: int
-    weight_decay: float
-    ema_decay: float
-    clip: float
-    precision: str
+Trained = TypeVar("Trained", bound=nn.Module)
 
 
-Network = TypeVar("Network", bound=nn.Module)
-
-
-class Learner(ABC, Generic[Network]):
+class Learner(ABC, Generic[Trained]):
     """The state of a training, and one step of it.
 
     Args:
@@ -68,7 +52,7 @@ class Learner(ABC, Generic[Network]):
     #: What may compute attention.
     attention = SHORT_SEQUENCES
 
-    def __init__(self, network: Network, settings: Schedule, device: torch.device) -> None:
+    def __init__(self, network: Trained, settings: Schedule, device: torch.device) -> None:
         self.network, self._schedule, self.device, self.step = network.to(device), settings, device, 0
         self.average = {name: value.detach().clone() for name, value in network.state_dict().items()}
         self.optimiser = torch.optim.AdamW(
@@ -94,13 +78,13 @@ class Learner(ABC, Generic[Network]):
         for name, value in given.state_dict().items():
             self.network.state_dict()[name].copy_(value)
             self.average[name].copy_(value)
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_digest(path)
 
     def advance(self) -> dict[str, float]:
         """One step of the optimiser; the loss's terms."""
         settings = self._schedule
         for group in self.optimiser.param_groups:
-            group["lr"] = settings.learning_rate * rate_at(self.step, settings.steps, settings.warmup_steps)
+            group["lr"] = settings.rate_at(self.step)
         with sdpa_kernel(self.attention):
             with torch.autocast(self.device.type, torch.bfloat16, enabled=is_bfloat16(settings.precision, self.device)):
                 total, terms = self._losses()
@@ -118,14 +102,14 @@ class Learner(ABC, Generic[Network]):
         for name, value in self.network.state_dict().items():
             self.average[name].lerp_(value.to(self.average[name].dtype), 1.0 - decay)
 
-    def averaged(self) -> Network:
+    def averaged(self) -> Trained:
         """A network with the averaged weights, on the CPU, in evaluation mode."""
         network = copy.deepcopy(self.network).cpu()
         network.load_state_dict({name: value.cpu() for name, value in self.average.items()})
         return network.eval()
 
 
-class Run(Generic[Network]):
+class Run(Generic[Trained]):
     """A training with its folder: it goes on from a checkpoint, and writes weights, checkpoints and logs.
 
     Args:
@@ -137,8 +121,8 @@ class Run(Generic[Network]):
     """
 
     def __init__(
-        self, learner: Learner[Network], out: Path, terms: dict[str, Any], measure: Callable[[Network], dict[str, float]],
-        save: Callable[[Network, dict[str, Any]], None],
+        self, learner: Learner[Trained], out: Path, terms: dict[str, Any], measure: Callable[[Trained], dict[str, float]],
+        save: Callable[[Trained, dict[str, Any]], None],
     ) -> None:  # fmt: skip
         self._learner, self._checkpoint, self._terms = learner, out / "checkpoint.safetensors", terms
         self._log, self._measure, self._save = out / "log", measure, save
@@ -204,17 +188,10 @@ def add_run_options(parser: argparse.ArgumentParser, defaults: Any, whole: Seque
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=f"(default {getattr(defaults, name):g})")
 
 
-def settings_of(options: argparse.Namespace, kind: Callable[..., Settings], fields: Sequence[str]) -> Settings:
+def settings_of(options: argparse.Namespace, kind: type[Settings]) -> Settings:
     """Settings from the options that were given; the others keep their defaults."""
-    return kind(**{name: getattr(options, name) for name in fields if getattr(options, name, None) is not None})
-
-
-def rate_at(step: int, steps: int, warmup_steps: int) -> float:
-    """The learning rate's share of its highest: it rises, then falls along a cosine."""
-    if step < warmup_steps:
-        return (step + 1) / warmup_steps
-    share = (step - warmup_steps) / max(steps - warmup_steps, 1)
-    return LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + math.cos(math.pi * share))
+    names = [field.name for field in dataclasses.fields(kind)]
+    return kind(**{name: getattr(options, name) for name in names if getattr(options, name, None) is not None})
 
 
 def is_bfloat16(precision: str, device: torch.device) -> bool:

@@ -1,13 +1,15 @@
-"""Parts of transformers that both students use."""
+"""Parts of transformers that the student and the smoother use."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
+from typing import TypeVar, cast
 
 import torch
 from torch import Tensor, nn
 
-__all__ = ["Block", "sinusoids"]
+__all__ = ["TransformerBlock", "sinusoids", "stack", "zeroed"]
 
 
 def sinusoids(values: Tensor, width: int, longest: float = 10_000.0) -> Tensor:
@@ -17,14 +19,22 @@ def sinusoids(values: Tensor, width: int, longest: float = 10_000.0) -> Tensor:
     return torch.cat([angles.sin(), angles.cos()], dim=-1)
 
 
-class Block(nn.Module):
+Layer = TypeVar("Layer", bound=nn.Module)
+
+
+def stack(layers: Iterable[Layer]) -> Sequence[Layer]:
+    """Layers of one kind as an `nn.ModuleList`, which forgets their kind before type checkers."""
+    return cast("Sequence[Layer]", nn.ModuleList(layers))
+
+
+class TransformerBlock(nn.Module):
     """Attention and an MLP, each shifted, scaled and gated by the condition; gates begin at zero."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
         self.norms = nn.ModuleList(nn.LayerNorm(width, elementwise_affine=False) for _ in range(2))
-        self.modulation = _zeroed(nn.Linear(width, 6 * width))
+        self.modulation = zeroed(nn.Linear(width, 6 * width))
         self.qkv = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
         self.mlp = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(approximate="tanh"), nn.Linear(4 * width, width))
@@ -44,7 +54,8 @@ class Block(nn.Module):
         return torch.addcmul(tokens, mlp_gate, self.mlp(torch.addcmul(mlp_shift, self.norms[1](tokens), 1.0 + mlp_scale)))
 
 
-def _zeroed(layer: nn.Linear) -> nn.Linear:
+def zeroed(layer: nn.Linear) -> nn.Linear:
+    """The layer with weights and bias of zero: what it adds begins as nothing."""
     nn.init.zeros_(layer.weight)
     nn.init.zeros_(layer.bias)
     return layer

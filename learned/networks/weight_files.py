@@ -6,18 +6,19 @@ normalisers included). Files come from strangers: whatever is wrong with one is 
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flockopt.errors import MissingExtra, SettingsError
+from flockopt.errors import SettingsError, require
 from flockopt.records import checks, files
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["FORMAT", "load_weights", "save_weights", "to_bytes", "to_floats"]
+__all__ = ["FORMAT", "file_digest", "load_weights", "save_weights", "to_bytes", "to_floats"]
 
 FORMAT = "flockopt.weights/1"
 
@@ -40,10 +41,7 @@ def save_weights(path: str | Path, tensors: Mapping[str, Tensor], kind: str, set
         SettingsError: If the file cannot be written, or the settings are not JSON.
         MissingExtra: If safetensors is not installed.
     """
-    try:
-        from safetensors.torch import save
-    except ImportError:
-        raise MissingExtra("safetensors", "learned") from None
+    save = require("safetensors.torch", extra="learned").save
     try:
         header = json.dumps(dict(settings), allow_nan=False, sort_keys=True)
     except (TypeError, ValueError) as fault:
@@ -64,24 +62,24 @@ def load_weights(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[s
         SettingsError: If the file is missing, damaged, foreign or of another kind, or holds values that are not finite.
         MissingExtra: If safetensors or torch is not installed.
     """
+    torch, safetensors = require("torch", extra="learned"), require("safetensors", extra="learned")
     try:
-        import torch
-        from safetensors import SafetensorError, safe_open
-    except ImportError as fault:
-        raise MissingExtra(fault.name or "safetensors", "learned") from None
-    try:
-        with safe_open(path, framework="pt") as file:
+        with safetensors.safe_open(path, framework="pt") as file:
             settings = _settings(path, kind, file.metadata() or {})
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - the file is no dictionary
     except OSError as fault:
-        words = fault.strerror or str(fault)
-        raise SettingsError("weights", f"{path} cannot be read ({words})", "it must be a readable file", MEND) from None
-    except SafetensorError as fault:
+        raise _unreadable(path, fault) from None
+    except safetensors.SafetensorError as fault:
         raise SettingsError("weights", f"{path} is damaged ({fault})", "must be a safetensors file", MEND) from None
     for name, tensor in tensors.items():
         if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
             raise SettingsError("weights", f"{path} holds {name!r} with NaN or infinity", "weights are finite", MEND)
     return tensors, settings
+
+
+def _unreadable(path: str | Path, fault: OSError) -> SettingsError:
+    words = fault.strerror or str(fault)
+    return SettingsError("weights", f"{path} cannot be read ({words})", "it must be a readable file", MEND)
 
 
 def _settings(path: str | Path, kind: str, metadata: Mapping[str, str]) -> dict[str, Any]:
@@ -96,6 +94,18 @@ def _settings(path: str | Path, kind: str, metadata: Mapping[str, str]) -> dict[
     if not isinstance(settings, dict):
         raise SettingsError("weights", f"{path} has settings {checks.shown(settings)}", "must be a JSON object", MEND)
     return settings
+
+
+def file_digest(path: str | Path) -> str:
+    """The SHA-256 of a weight file, in hexadecimal: which weights these are.
+
+    Raises:
+        SettingsError: If it cannot be read.
+    """
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as fault:
+        raise _unreadable(path, fault) from None
 
 
 def to_bytes(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -18,7 +18,7 @@ from flockopt.bundles import Bundles
 from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
-from flockopt.travel import END, START
+from flockopt.travel.travel import stops_of
 from learned.paths.ways import LegPlanner
 
 __all__ = ["NUM_SAMPLES", "Rollout", "anchor_places", "anchors_of", "roll_out", "route_legs"]
@@ -75,8 +75,7 @@ def route_legs(scene: Scene, drone: int, route: Sequence[int], leg: LegPlanner) 
     Raises:
         SettingsError: If a leg has no way.
     """
-    ends = [END] if scene.drones[drone].end_point is not None else []
-    legs = [leg(drone, origin, target) for origin, target in pairwise([START, *route, *ends])]
+    legs = [leg(drone, origin, target) for origin, target in pairwise(stops_of(scene, drone, route))]
     if not all(map(len, legs)):
         rule = f"every leg must have a way for drone {scene.drones[drone].id!r}"
         raise SettingsError(f"bundles[{drone}]", f"is {tuple(route)}", rule, "leave unreachable tasks out")

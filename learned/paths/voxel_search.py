@@ -15,9 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.geometry.distances import X, Y
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.geometry.kernels import point_distance
-from flockopt.records.arrays import FloatArray
-from flockopt.travel.blocking import Space, blocker
+from flockopt.records.arrays import FloatArray, IntArray
+from flockopt.travel.blocking import blocker
 
 __all__ = ["Grid", "astar", "center_of", "dijkstra", "linked_voxel", "make_grid", "moves_of"]
 
@@ -29,8 +31,6 @@ NUM_BUCKETS = 3
 
 #: A place is linked to a voxel at most so many voxels away along each axis.
 LINK_REACH = 2
-
-IntArray = NDArray[np.int64]
 
 
 class Grid(NamedTuple):
@@ -53,7 +53,7 @@ def moves_of(connectivity: int) -> IntArray:
     return chosen
 
 
-def make_grid(space: Space, side: float, connectivity: int) -> Grid:
+def make_grid(space: FreeSpace, side: float, connectivity: int) -> Grid:
     """The grid that fills the bounds: whole voxels, centred in what is left over.
 
     A voxel is free if its centre keeps what the space asks, a step if the whole segment does.
@@ -82,7 +82,7 @@ def center_of(grid: Grid, voxel: int) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _room(space: Space, lower: FloatArray, side: float, shape: IntArray) -> FloatArray:
+def _room(space: FreeSpace, lower: FloatArray, side: float, shape: IntArray) -> FloatArray:
     """(V,) m, how much farther than needed each voxel's centre is from obstacles; negative where blocked, on the rim too."""
     room = np.full(shape[0] * shape[1] * shape[2], -1.0)
     for i in range(1, shape[0] - 1):
@@ -93,7 +93,7 @@ def _room(space: Space, lower: FloatArray, side: float, shape: IntArray) -> Floa
                 z, least = lower[2] + side * k, np.inf
                 for o in range(space.table.shape[0]):
                     # the circle around the footprint bounds the distance from below
-                    flat = math.sqrt((space.table[o, 1] - x) ** 2 + (space.table[o, 2] - y) ** 2) - space.reach[o]
+                    flat = math.sqrt((space.table[o, X] - x) ** 2 + (space.table[o, Y] - y) ** 2) - space.reach[o]
                     if flat < least:
                         least = min(least, point_distance(space.table[o], x, y, z) - space.needs[o])
                 room[(i * shape[1] + j) * shape[2] + k] = least
@@ -101,7 +101,7 @@ def _room(space: Space, lower: FloatArray, side: float, shape: IntArray) -> Floa
 
 
 @njit(cache=True, error_model="numpy")
-def _free_steps(space: Space, grid: Grid, room: FloatArray) -> None:
+def _free_steps(space: FreeSpace, grid: Grid, room: FloatArray) -> None:
     """Fill ``grid.steps``: a step is clear where the room at both its ends adds up to its length (triangle inequality)."""
     num_moves = grid.moves.shape[0]
     guess = -1
@@ -121,7 +121,7 @@ def _free_steps(space: Space, grid: Grid, room: FloatArray) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def linked_voxel(space: Space, grid: Grid, place: FloatArray) -> int:
+def linked_voxel(space: FreeSpace, grid: Grid, place: FloatArray) -> int:
     """The free voxel with the nearest centre that a place sees in a straight line, or -1 where none is near."""
     best, found = np.inf, -1
     at, base = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)

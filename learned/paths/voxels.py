@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from flockopt.errors import SettingsError
 from flockopt.geometry.distances import distances
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 from flockopt.travel import END, Travel
-from flockopt.travel.blocking import Space, make_space
 from flockopt.travel.compute import roomy_needs
 from learned.paths.voxel_search import Grid, astar, center_of, dijkstra, linked_voxel, make_grid
 
@@ -60,7 +60,7 @@ class VoxelSettings:
         if self.connectivity not in CONNECTIVITIES:
             raise SettingsError("connectivity", f"is {self.connectivity!r}", "must be 6 or 26", "choose one")
         if self.side is not None:
-            checks.number(SettingsError, "side", self.side, above=0.0)
+            checks.store(self, checks.number, SettingsError, "side", above=0.0)
 
     def sides(self, scene: Scene) -> list[float]:
         """The sides to try, metres."""
@@ -72,7 +72,7 @@ class VoxelSettings:
         if num_voxels > MOST_VOXELS:
             seen = f"is {self.side:g} m, which makes {num_voxels:.3g} voxels"
             raise SettingsError("side", seen, f"must make at most {MOST_VOXELS}", "take larger voxels")
-        return [float(self.side)]
+        return [self.side]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,16 +152,12 @@ def _oracle(scene: Scene, connectivity: int, side: float) -> VoxelOracle:
     return VoxelOracle(travel, side, points, tuple(grids), tuple(links))
 
 
-def _space(scene: Scene, gaps: FloatArray, active: NDArray[np.int64], need: float) -> tuple[Space, NDArray[np.int64]]:
+def _space(scene: Scene, gaps: FloatArray, active: NDArray[np.int64], need: float) -> tuple[FreeSpace, NDArray[np.int64]]:
     """What one class of drones keeps clear of, and those of its places that are not too near an obstacle."""
     if not scene.obstacles:
-        return make_space(scene.obstacle_table, np.empty(0), *_bounds(scene)), active
+        return scene.free_space(need), active
     reached = active[gaps[active].min(axis=1) >= need - POSITION_TOLERANCE_M]
-    return make_space(scene.obstacle_table, roomy_needs(gaps[reached], need), *_bounds(scene)), reached
-
-
-def _bounds(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    return np.array(scene.bounds.lower), np.array(scene.bounds.upper)
+    return scene.free_space(roomy_needs(gaps[reached], need)), reached
 
 
 def _costs(grid: Grid, points: FloatArray, links: NDArray[np.int64], num_sources: int) -> FloatArray:

@@ -14,6 +14,7 @@ import numpy as np
 
 from flockopt.errors import SettingsError
 from flockopt.planning.planners import ANY_ANGLE
+from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -60,8 +61,7 @@ def find_ways(
     Raises:
         SettingsError: On paths of another kind.
     """
-    if paths not in PATHS:
-        raise SettingsError("paths", f"is {paths!r}", f"must be one of {', '.join(PATHS)}", "choose one")
+    checks.choice(SettingsError, "paths", paths, known=PATHS)
     if paths == ANY_ANGLE:
         travel = compute_travel(scene, routes=routes) if travel is None else travel
         return Ways(travel, travel.path)

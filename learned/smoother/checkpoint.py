@@ -7,8 +7,8 @@ from typing import Any
 
 from torch import Tensor
 
-from learned.networks.checkpoint import fill, in_bfloat16
-from learned.networks.weight_files import load_weights, save_weights, to_floats
+from learned.networks.checkpoint import in_bfloat16, load_network
+from learned.networks.weight_files import save_weights
 from learned.smoother.model import TimedNetwork
 from learned.smoother.settings import TimedNetworkSettings
 
@@ -29,7 +29,4 @@ def load_timed(path: str | Path) -> TimedNetwork:
         SettingsError: If the file is missing, damaged, foreign, or its weights do not fit its settings.
         MissingExtra: If torch or safetensors is not installed.
     """
-    tensors, header = load_weights(path, KIND)
-    network = TimedNetwork(TimedNetworkSettings.from_dict(header.get("network", {})))
-    fill(network, to_floats(tensors), path)
-    return network.eval()
+    return load_network(path, KIND, "network", TimedNetworkSettings.from_dict, TimedNetwork)

@@ -15,7 +15,7 @@ from learned.smoother.batch import StageBatch
 
 __all__ = [
     "RESIDUALS", "at_phase", "bernstein", "control_points", "flat_frames", "following", "free", "into_frames", "out_of_frames",
-    "residuals", "squared_jerk", "states_of",
+    "quadratic_products", "residuals", "squared_jerk", "states_of",
 ]  # fmt: skip
 
 #: Numbers in a residual.
@@ -92,6 +92,7 @@ def at_phase(states: Tensor, durations: Tensor, phases: Tensor) -> Tensor:
 def control_points(states: Tensor, durations: Tensor) -> Tensor:
     """(B, P, 6, 3) of the quintics between states (B, J, 3, 3): see `flockopt.flights.smoothing.stages.hermite`."""
     time = durations[..., None]
+    # The ends of a Bezier curve of degree 5: its first differences are v time / 5, its second ones a time² / 20.
     (p, v, a), (q, w, b) = (part.unbind(dim=2) for part in (states[:, :-1], states[:, 1:]))
     first = p + 0.2 * time * v
     last = q - 0.2 * time * w
@@ -102,10 +103,19 @@ def control_points(states: Tensor, durations: Tensor) -> Tensor:
 
 def squared_jerk(states: Tensor, durations: Tensor, pieces: Tensor) -> Tensor:
     """(B,): integral of the squared jerk of the quintics between states, over those pieces (B, P) that there are."""
-    third = 60.0 * control_points(states, durations).diff(n=3, dim=2)  # (B, P, 3, 3), the jerk times the duration cubed
+    # 5 * 4 * 3 times third differences are the control points of a quintic's third derivative (Farin 2002, section 5.3);
+    # the jerk is that over the duration cubed, squared and integrated over a duration: hence the fifth power.
+    third = 60.0 * control_points(states, durations).diff(n=3, dim=2)  # (B, P, 3, 3)
     products = torch.einsum("bpia,bpja->bpij", third, third)
-    inner = torch.tensor([[6.0, 3.0, 1.0], [3.0, 4.0, 3.0], [1.0, 3.0, 6.0]], device=third.device).to(third) / 30.0
-    return ((products * inner).sum(dim=(2, 3)) / durations**5 * pieces).sum(dim=1)
+    return ((products * quadratic_products(third)).sum(dim=(2, 3)) / durations**5 * pieces).sum(dim=1)
+
+
+def quadratic_products(like: Tensor) -> Tensor:
+    """(3, 3): integrals over [0, 1] of products of two quadratic Bernstein polynomials, in the kind of another tensor.
+
+    That of the i-th and j-th is C(2, i) C(2, j) / (5 C(4, i + j)).
+    """
+    return torch.tensor([[6.0, 3.0, 1.0], [3.0, 4.0, 3.0], [1.0, 3.0, 6.0]], device=like.device).to(like) / 30.0
 
 
 def bernstein(phases: Tensor, degree: int) -> Tensor:

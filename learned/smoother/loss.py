@@ -1,7 +1,8 @@
 """What the network of timed flights minimises: first the distance to the teacher's stages, then the cost itself.
 
-The cost is that of `flockopt.flights.smoothing.smooth`: shares of duration and squared jerk, after the stage has been slowed until
-it keeps its limits, and a penalty on what would have it refused: too near to obstacles, out of bounds, slower than before.
+The cost is that of `flockopt.flights.smoothing.smooth`: shares of duration and squared jerk, after the stage has been slowed
+until it keeps its limits, and a penalty on what would have it refused: too near to obstacles, out of bounds, slower than
+before.
 """
 
 from __future__ import annotations
@@ -97,6 +98,7 @@ def verdicts(
     factors = slowing(control, durations, batch)
     slower = factors.amax(dim=1).clamp(min=1.0)
     given = squared_jerk(batch.states, batch.durations, batch.pieces).clamp(min=1e-9)
+    # slowed down as a whole: jerk falls by the cube, its square by the sixth power, and the time to integrate over grows
     jerk = squared_jerk(states, durations, batch.pieces) / slower**5 / given
     total = (durations * batch.pieces).sum(dim=1) * slower
     time = total / (batch.durations * batch.pieces).sum(dim=1)

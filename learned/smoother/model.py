@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from learned.networks.diffusion import ddim
-from learned.networks.transformer import Block, sinusoids
+from learned.networks.transformer import TransformerBlock, sinusoids, stack, zeroed
 from learned.smoother.batch import MOST_JOINTS, StageBatch
 from learned.smoother.features import NUM_FEATURES, stage_features
 from learned.smoother.frame import RESIDUALS, flat_frames, free, states_of
@@ -37,11 +37,9 @@ class TimedNetwork(nn.Module):
         self.log_wishes = nn.Parameter(torch.tensor(WISHES).log())
         self.joint_in = nn.Sequential(nn.Linear(RESIDUALS + NUM_FEATURES, width), nn.SiLU(), nn.Linear(width, width))
         self.level_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
-        self.blocks = nn.ModuleList(Block(width, settings.heads) for _ in range(settings.blocks))
+        self.blocks = stack(TransformerBlock(width, settings.heads) for _ in range(settings.blocks))
         self.norm = nn.LayerNorm(width, elementwise_affine=False)
-        self.joint_out = nn.Linear(width, RESIDUALS)
-        nn.init.zeros_(self.joint_out.weight)
-        nn.init.zeros_(self.joint_out.bias)
+        self.joint_out = zeroed(nn.Linear(width, RESIDUALS))
 
     def forward(self, noisy: Tensor, noise_level: Tensor, features: Tensor, joints: Tensor) -> Tensor:
         """Clean residuals (B, J, 10) in units of their spread.

@@ -8,7 +8,7 @@ from typing import Any
 
 from flockopt.errors import SettingsError
 from flockopt.records import checks
-from learned.networks.training import PRECISIONS
+from learned.networks.schedule import Schedule
 
 __all__ = ["MODES", "TimedNetworkSettings", "TimedTrainingSettings"]
 
@@ -38,78 +38,47 @@ class TimedNetworkSettings:
     num_noise_levels: int = 1000
 
     def __post_init__(self) -> None:
-        for field in ("width", "blocks", "heads", "num_noise_levels"):
-            checks.integer(SettingsError, field, getattr(self, field), least=1)
+        checks.store(self, checks.integer, SettingsError, "width", "blocks", "heads", "num_noise_levels", least=1)
+        checks.store(self, checks.choice, SettingsError, "mode", known=MODES)
         if self.width % (2 * self.heads):
             raise SettingsError("width", f"is {self.width}", f"must be a multiple of {2 * self.heads}", "choose another")
-        _choice("mode", self.mode, MODES)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> TimedNetworkSettings:
         """Settings from a weight file's header; an unknown key is an error."""
-        return cls(**checks.keys(SettingsError, values, (), [field.name for field in dataclasses.fields(cls)]))
+        return checks.from_keys(SettingsError, cls, values)
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values, for a weight file's header."""
         return dataclasses.asdict(self)
 
 
-@dataclass(frozen=True)
-class TimedTrainingSettings:
-    """A training run; the same settings and data give the same weights on the same machine.
+@dataclass(frozen=True, kw_only=True)
+class TimedTrainingSettings(Schedule):
+    """A training of the network of timed flights.
 
     Attributes:
         mode: One of `MODES`.
-        steps: Of the optimiser.
         stages_per_step: How many it sees at once.
-        learning_rate: At its highest; it rises over ``warmup_steps`` and falls along a cosine.
-        weight_decay: Of AdamW.
-        ema_decay: Of the averaged weights, which are the ones that are shipped.
         cost_from: From this share of all steps on, the cost itself is minimised in place of the distance to the teacher.
         imitation_weight: Of that distance, from then on.
         room_m: The extra room that a stage is asked to keep is drawn between 0 and this, metres.
-        clip: Greatest norm of a gradient.
-        seed: Of weights, order, room, noise and mirroring.
-        precision: One of `learned.student.training_settings.PRECISIONS`.
 
     Raises:
-        SettingsError: Naming the field, the value and the rule.
+        SettingsError: Naming the field, the value, the rule and the mend.
     """
 
     mode: str = "regression"
     steps: int = 3600
     stages_per_step: int = 64
-    learning_rate: float = 1e-3
-    warmup_steps: int = 200
-    weight_decay: float = 0.01
     ema_decay: float = 0.998
     cost_from: float = 0.0
     imitation_weight: float = 0.0
     room_m: float = 0.03
-    clip: float = 1.0
-    seed: int = 0
-    precision: str = "auto"
 
     def __post_init__(self) -> None:
-        for field in ("steps", "stages_per_step"):
-            checks.integer(SettingsError, field, getattr(self, field), least=1)
-        for field in ("warmup_steps", "seed"):
-            checks.integer(SettingsError, field, getattr(self, field), least=0)
-        for field in ("learning_rate", "clip"):
-            checks.number(SettingsError, field, getattr(self, field), above=0.0)
-        for field in ("weight_decay", "ema_decay", "cost_from", "imitation_weight", "room_m"):
-            checks.number(SettingsError, field, getattr(self, field), least=0.0)
-        for field in ("ema_decay", "cost_from"):
-            if not getattr(self, field) <= 1.0:
-                raise SettingsError(field, f"is {getattr(self, field):g}", "must be from 0 to 1", "give a share")
-        _choice("mode", self.mode, MODES)
-        _choice("precision", self.precision, PRECISIONS)
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain values, for file headers."""
-        return dataclasses.asdict(self)
-
-
-def _choice(field: str, value: object, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise SettingsError(field, f"is {checks.shown(value)}", f"must be one of {', '.join(choices)}", "choose one")
+        super().__post_init__()
+        checks.store(self, checks.integer, SettingsError, "stages_per_step", least=1)
+        checks.store(self, checks.number, SettingsError, "imitation_weight", "room_m", least=0.0)
+        checks.store(self, checks.share, SettingsError, "cost_from")
+        checks.store(self, checks.choice, SettingsError, "mode", known=MODES)

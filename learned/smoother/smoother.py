@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flockopt.errors import MissingExtra
+from flockopt.errors import require
 from flockopt.flights import Flight
 from flockopt.flights.smoothing.proposals import fly_proposals
 from flockopt.flights.smoothing.stages import Stage
 from flockopt.scene import Drone, Scene
+from learned.networks.shipped import load_once, shipped_path
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["WEIGHTS", "NetworkProposer", "shipped_timed", "smooth_flights"]
 
 #: The weights that come with the package.
-WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "student-timed.safetensors"
+WEIGHTS = shipped_path("student-timed")
 
 #: How much of the changes that the network asks for to wish for: a proposal each, the boldest first.
 SHARES = (1.0, 0.85, 0.7)
@@ -80,7 +80,6 @@ def _stage(drone: Drone, guess: Stage, unit: UnitStage, states: Tensor, duration
     return replace(guess, states=guess.states + moved, durations=guess.durations * longer)
 
 
-@cache
 def shipped_timed(path: Path = WEIGHTS) -> TimedNetwork:
     """The network whose weights come with the package, loaded once.
 
@@ -88,11 +87,10 @@ def shipped_timed(path: Path = WEIGHTS) -> TimedNetwork:
         SettingsError: If the weights are missing or damaged.
         MissingExtra: If torch or safetensors is not installed.
     """
-    try:
-        from learned.smoother.checkpoint import load_timed
-    except ImportError as fault:
-        raise MissingExtra(fault.name or "torch", "learned") from None
-    return load_timed(path)
+    require("torch", extra="learned")
+    from learned.smoother.checkpoint import load_timed
+
+    return load_once(load_timed, path)
 
 
 def smooth_flights(scene: Scene, flights: dict[str, Flight]) -> dict[str, Flight]:

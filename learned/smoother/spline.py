@@ -15,7 +15,7 @@ from torch import Tensor
 from flockopt.flights.smoothing.stages import hermite
 from learned.demonstrations.timed_shards import NO_PHASE
 from learned.smoother.batch import StageBatch
-from learned.smoother.frame import at_phase, bernstein, control_points, squared_jerk
+from learned.smoother.frame import at_phase, bernstein, control_points, quadratic_products, squared_jerk
 
 __all__ = ["WISHES", "flyable", "slowing", "smoothest"]
 
@@ -49,6 +49,8 @@ def smoothest(batch: StageBatch, wished: Tensor, durations: Tensor, weights: Ten
     times = torch.where(batch.pieces, durations.double(), 1.0)
     jerk = squared_jerk(batch.states.double(), batch.durations.double(), batch.pieces).clamp(min=1e-9)
     held = _held(batch)
+    # The normal equations of weighted least squares. What is held is a wish as well, of so great a weight that it gives way
+    # by less than single precision shows: the matrix stays positive definite, and one Cholesky factor serves all axes.
     pull = torch.where(held, HELD, weights.double())  # (B, J, 3)
     target = torch.where(held[..., None], batch.states.double(), exact)
     matrix = _assembled(_jerk_form(times) * (batch.pieces / jerk[:, None])[..., None, None])
@@ -82,6 +84,7 @@ def slowing(control: Tensor, durations: Tensor, batch: StageBatch) -> Tensor:
     """(B, P): how many times slower each piece has to be flown to keep its limits; below 1 where there is time to spare."""
     phases = torch.linspace(0.0, 1.0, LIMIT_PHASES, device=control.device)
     factors = []
+    # Flown k times slower, a derivative of order n falls by k^n: so its excess asks for the n-th root of it.
     for order, limit in ((1, 1.0), (2, 1.0), (3, batch.max_jerk[:, None])):
         scale = float((5, 20, 60)[order - 1]) / durations**order
         curve = torch.einsum("qi,bpia->bpqa", bernstein(phases, 5 - order), control.diff(n=order, dim=2))
@@ -110,10 +113,11 @@ def _to_control(times: Tensor) -> Tensor:
 
 def _jerk_form(times: Tensor) -> Tensor:
     """(B, P, 6, 6): the squared jerk's integral over a piece as a form of the states at its ends."""
-    third = 60.0 * _to_control(times).diff(n=3, dim=0)  # (3, 6)
-    inner = torch.tensor([[6.0, 3.0, 1.0], [3.0, 4.0, 3.0], [1.0, 3.0, 6.0]], device=times.device).to(times) / 30.0
+    third = 60.0 * _to_control(times).diff(n=3, dim=0)  # (3, 6), see `learned.smoother.frame.squared_jerk`
     powers = _local_powers(times)
-    return third.T @ inner @ third * powers[..., :, None] * powers[..., None, :] / times[..., None, None] ** 5
+    return (
+        third.T @ quadratic_products(times) @ third * powers[..., :, None] * powers[..., None, :] / times[..., None, None] ** 5
+    )
 
 
 def _passing(batch: StageBatch, times: Tensor) -> tuple[Tensor, Tensor]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -21,8 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from flockopt import FlockError
 from flockopt.batches.run_folder import RunFolder
+from flockopt.cli.status import run_command
 from learned.demonstrations.timed_shards import load_stages
 from learned.networks.training import Learner, Run, add_run_options, held_out, settings_of
 from learned.smoother.batch import MOST_JOINTS, UnitStage, collate_stages, unit_stage
@@ -131,14 +130,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
     torch.set_num_threads(options.threads)
-    try:
-        settings = settings_of(options, TimedTrainingSettings, list(TimedTrainingSettings.__dataclass_fields__))
-        with RunFolder(options.out, settings.to_dict(), "a training of timed flights"):
-            run(settings, options.data, options.out, options.begin_with, options.until)
-    except FlockError as fault:
-        print(f"learned.smoother.train: {fault}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command("learned.smoother.train", lambda: _train(options))
+
+
+def _train(options: argparse.Namespace) -> None:
+    settings = settings_of(options, TimedTrainingSettings)
+    with RunFolder(options.out, settings.to_dict(), "a training of timed flights"):
+        run(settings, options.data, options.out, options.begin_with, options.until)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -7,8 +7,8 @@ from typing import Any
 
 from torch import Tensor
 
-from learned.networks.checkpoint import fill, in_bfloat16
-from learned.networks.weight_files import load_weights, save_weights, to_bytes, to_floats
+from learned.networks.checkpoint import in_bfloat16, load_network
+from learned.networks.weight_files import save_weights, to_bytes
 from learned.student.network.model import Student
 from learned.student.settings import StudentSettings
 
@@ -36,7 +36,4 @@ def load_student(path: str | Path) -> Student:
         SettingsError: If the file is missing, damaged, foreign, or its weights do not fit its settings.
         MissingExtra: If torch or safetensors is not installed.
     """
-    tensors, header = load_weights(path, KIND)
-    student = Student(StudentSettings.from_dict(header.get("student", {})))
-    fill(student, to_floats(tensors), path)
-    return student.eval()
+    return load_network(path, KIND, "student", StudentSettings.from_dict, Student)

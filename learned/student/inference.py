@@ -19,14 +19,13 @@ from torch import Tensor
 from flockopt.flights.waypoints import CHORD_TOLERANCE, anchored_legs
 from flockopt.records.arrays import FloatArray
 from learned.student.legs.choice import best_legs, rank
-from learned.student.legs.clearance import obstructions
 from learned.student.network.rows import Place, Rows, points_of, rows_of
 from learned.student.network.scene_encoder import AgentTokens
 from learned.student.scenes.batch import FleetBatch, collate
 from learned.student.scenes.examples import Example
 from learned.student.settings import StudentSettings
 
-__all__ = ["Drawing", "Network", "decide", "draw", "task_probabilities"]
+__all__ = ["DrawnFleet", "Network", "decide", "draw", "task_probabilities"]
 
 #: Tries are told apart leg by leg where they pass their anchors within this, metres.
 SAME_ANCHOR_M = 1e-3
@@ -55,7 +54,7 @@ class Network(Protocol):
 
 
 @dataclass(frozen=True)
-class Drawing:
+class DrawnFleet:
     """A fleet's trajectories as the student draws them.
 
     Attributes:
@@ -95,7 +94,7 @@ def decide(student: Network, batch: FleetBatch) -> tuple[list[FloatArray], Agent
 def draw(
     student: Network, examples: Sequence[Example], *, steps: int | tuple[int, int] = 2, tries: int = 4,
     seed: int | Sequence[int] = 0, tokens: AgentTokens | None = None,
-) -> list[Drawing]:  # fmt: skip
+) -> list[DrawnFleet]:  # fmt: skip
     """Trajectories of the fleets of a batch of scenes with bundles.
 
     Args:
@@ -108,13 +107,13 @@ def draw(
         tokens: Of the scenes, if `decide` made them already.
     """
     apart = not student.settings.fleet_attention
-    drawn = [(one.blocked.any(axis=1) if apart else one.active) for one in examples]
+    drawn = [(one.is_blocked if apart else one.active) for one in examples]
     wanted = [(index, int(drone)) for index, drones in enumerate(drawn) for drone in np.flatnonzero(drones)]
     seeds = [seed] * len(examples) if isinstance(seed, int) else seed
     generators = [torch.Generator().manual_seed(one) for one in seeds]
     tries_of: dict[Place, FloatArray] = {}
     drawings = [
-        Drawing(one.straight.copy(), ~one.blocked.any(axis=1), int(drones.sum()), one)
+        DrawnFleet(one.straight.copy(), ~one.is_blocked, int(drones.sum()), one)
         for one, drones in zip(examples, drawn, strict=True)
     ]
     pencil = _pencil(student, examples, tokens) if wanted else None
@@ -166,19 +165,19 @@ def _pencil(student: Network, examples: Sequence[Example], tokens: AgentTokens |
     return fleets
 
 
-def _choose(one: Example, drawing: Drawing, drone: int, tries: FloatArray) -> None:
+def _choose(one: Example, drawing: DrawnFleet, drone: int, tries: FloatArray) -> None:
     """Put the best of some tries (tries, T, 3) into the drawing; the straight way stays where none is finite."""
     finite = tries[np.isfinite(tries).all(axis=(1, 2))]
     if not len(finite):
         return
-    tolerance = CHORD_TOLERANCE * one.scene.drones[drone].radius
-    space = obstructions(one.scene)
+    radius = one.scene.drones[drone].radius
+    tolerance, space = CHORD_TOLERANCE * radius, one.scene.free_space(radius + one.scene.clearance)
     if _shares_anchors(one, drone, finite):
         samples = one.straight[drone].copy()
-        is_clear = best_legs(space, drone, one.leg_end[drone], one.blocked[drone], samples, finite, tolerance)
+        is_clear = best_legs(space, one.leg_end[drone], one.blocked[drone], samples, finite, tolerance)
     else:
         ways = [anchored_legs(one.scene, drone, one.routes[drone], samples) for samples in finite]
-        ranked = [sum(rank(space, drone, leg, tolerance) for leg in legs) for legs in ways]
+        ranked = [sum(rank(space, leg, tolerance) for leg in legs) for legs in ways]
         samples, is_clear = finite[int(np.argmin(ranked))], min(ranked) < np.inf
     drawing.samples[drone], drawing.clear[drone] = samples, is_clear
 

@@ -14,7 +14,7 @@ from learned.networks.obstacle_distance import signed_distance
 from learned.student.network.denoiser import Conditions
 from learned.student.network.model import Student
 from learned.student.network.scene_encoder import SceneTokens
-from learned.student.scenes.batch import NOTHING, FleetBatch, Ways
+from learned.student.scenes.batch import NOTHING, FleetBatch, WayBatch
 
 __all__ = ["LossWeights", "StudentLoss", "allocation_loss", "clearance_loss", "detour_weights", "diffusion_loss"]
 
@@ -57,7 +57,7 @@ def detour_weights(clean: Tensor, active: Tensor) -> Tensor:
     return active / (1.0 + clean.square().mean(dim=(2, 3)))
 
 
-def clearance_loss(ways: Ways, points: Tensor) -> Tensor:
+def clearance_loss(ways: WayBatch, points: Tensor) -> Tensor:
     """How far points (B, N, T, 3) m and the middles between them intrude on the room they should keep.
 
     Intrusions are squared, in units of radius + clearance, and averaged over samples of blocked legs.
@@ -82,8 +82,7 @@ class LossWeights:
     clearance: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in ("allocation", "diffusion", "clearance"):
-            checks.number(SettingsError, field, getattr(self, field), least=0.0)
+        checks.store(self, checks.number, SettingsError, "allocation", "diffusion", "clearance", least=0.0)
 
 
 class StudentLoss(nn.Module):
@@ -123,14 +122,14 @@ class StudentLoss(nn.Module):
     def _draws_alone(self) -> bool:
         return not self.student.settings.fleet_attention
 
-    def _ways(self, batch: FleetBatch, tokens: SceneTokens) -> tuple[Ways, Conditions]:
+    def _ways(self, batch: FleetBatch, tokens: SceneTokens) -> tuple[WayBatch, Conditions]:
         """What is learned from: whole fleets, or blocked drones, their number filled up by inactive ones to a round one."""
         if not self._draws_alone:
             return self.student.condition(batch, None, tokens)
         places = (batch.ways.active & batch.ways.blocked.any(dim=-1)).nonzero()  # (R, 2)
         count = len(places)
         filled = torch.nn.functional.pad(places, (0, 0, 0, -count % ROWS_STEP))
-        ways, conditions = self.student.condition(batch, filled.unbind(dim=1), tokens)
+        ways, conditions = self.student.condition(batch, (filled[:, 0], filled[:, 1]), tokens)
         is_there = torch.arange(len(filled), device=places.device)[:, None] < count
         return replace(ways, active=ways.active & is_there), conditions
 
@@ -140,6 +139,7 @@ class StudentLoss(nn.Module):
         noise = torch.randn(clean.shape, generator=generator).to(clean.device)
         if self.student.settings.objective == "regression":
             return torch.zeros_like(clean), torch.full((count,), num_levels, device=clean.device)
+        # few steps are asked for at inference: half of the draws are of the levels that these pass
         passed = torch.tensor(noise_levels(TRAINED_STEPS, num_levels)[:-1])
         level = torch.randint(1, num_levels + 1, (count,), generator=generator)
         chosen = passed[torch.randint(len(passed), (count,), generator=generator)]

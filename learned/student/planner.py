@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
@@ -21,29 +20,30 @@ import numpy as np
 
 from flockopt.bundles import Bundles
 from flockopt.bundles.refine import refine_bundles
-from flockopt.errors import MissingExtra, SettingsError
+from flockopt.errors import SettingsError, require
 from flockopt.flights.decode import decode
 from flockopt.flights.waypoints import waypoints_from_paths
-from flockopt.planning.planners import Proposal, Request, classical
+from flockopt.planning.planners import PLANNERS, Planner, Proposal, Request
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
+from learned.networks.shipped import load_once, shipped_path
 from learned.smoother.smoother import WEIGHTS as TIMED_WEIGHTS
 from learned.smoother.smoother import smooth_flights
 
 if TYPE_CHECKING:
-    from learned.student.inference import Drawing, Network
+    from learned.student.backends.choice import Loaded
+    from learned.student.inference import DrawnFleet, Network
     from learned.student.network.model import Student
     from learned.student.network.scene_encoder import AgentTokens
     from learned.student.scenes.examples import Example
 
 __all__ = [
-    "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "drawn_plans", "hybrid", "learned", "learned_paper", "searched_plan",
-    "shipped_student",
+    "HYBRID", "LEARNED", "LEARNED_PAPER", "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "drawn_plans", "loaded_student",
+    "searched_plan", "shipped_student",
 ]  # fmt: skip
 
 #: The weights that come with the package, of the default configuration and of the paper's.
-WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "student-small.safetensors"
-PAPER_WEIGHTS = WEIGHTS.with_name("student-paper.safetensors")
+WEIGHTS, PAPER_WEIGHTS = shipped_path("student-small"), shipped_path("student-paper")
 
 #: Iterations of the search that refines the head's probabilities: enough to mend what capacities break.
 REFINING_ITERATIONS = 100
@@ -59,7 +59,6 @@ GUIDED_SHARE, SEARCH_SHARE = 0.1, 0.8
 LEAST_GAIN_S = 1e-3
 
 
-@cache
 def shipped_student(path: Path = WEIGHTS) -> Student:
     """The student whose weights come with the package, loaded once.
 
@@ -67,46 +66,56 @@ def shipped_student(path: Path = WEIGHTS) -> Student:
         SettingsError: If the weights are missing or damaged.
         MissingExtra: If torch or safetensors is not installed.
     """
-    try:
-        from learned.student.checkpoint import load_student
-    except ImportError as fault:
-        raise MissingExtra(fault.name or "torch", "learned") from None
-    return load_student(path)
+    require("torch", extra="learned")
+    from learned.student.checkpoint import load_student
+
+    return load_once(load_student, path)
 
 
-def _computed(student: Student) -> Network:
-    """The student as the backend computes it that ``FLOCKOPT_STUDENT_BACKEND`` names: see `learned.student.backends.choice`."""
-    from learned.student.backends.choice import chosen_backend, network
+def loaded_student(backend: str | None = None, path: Path = WEIGHTS) -> Loaded:
+    """The shipped student as a backend computes it, with what a plan says of it: see `learned.student.backends.choice`.
 
-    return network(student, chosen_backend())
+    Raises:
+        SettingsError: If there is no such backend, it cannot compute this student, or the weights are missing or damaged.
+        MissingExtra: If torch, safetensors or what the backend needs is not installed.
+    """
+    student = shipped_student(path)
+    from learned.student.backends.choice import loaded
+
+    return loaded(student, path, backend)
 
 
 def learned(request: Request) -> Proposal:
     """The network's bundles and flights."""
-    return _drawn_proposal(_computed(shipped_student()), request)
+    return _drawn_proposal(loaded_student(request.backend), request)
 
 
 def learned_paper(request: Request) -> Proposal:
-    """The same by the paper's configuration, which draws whole fleets: torch computes it."""
-    return _drawn_proposal(shipped_student(PAPER_WEIGHTS), request)
+    """The same by the paper's configuration, which draws whole fleets: only torch computes that."""
+    return _drawn_proposal(loaded_student(request.backend, PAPER_WEIGHTS), request)
 
 
-def _drawn_proposal(student: Network, request: Request) -> Proposal:
-    bundles, drawing, timing = drawn_plan(student, request)
-    return Proposal(bundles, None if drawing is None else drawing.samples, timing)
+def _drawn_proposal(student: Loaded, request: Request) -> Proposal:
+    bundles, drawing, timing = drawn_plan(student.network, request)
+    return Proposal(bundles, None if drawing is None else drawing.samples, timing, made_with=_told(student))
+
+
+def _told(student: Loaded) -> dict[str, str]:
+    """What a plan says of the student behind it."""
+    return {"backend": student.backend, "weights": student.digest}
 
 
 #: Bundles, the drawn fleet if it can be drawn, and seconds by stage.
-Drawn: TypeAlias = "tuple[Bundles, Drawing | None, dict[str, float]]"
+DrawnPlan: TypeAlias = "tuple[Bundles, DrawnFleet | None, dict[str, float]]"
 
 
-def drawn_plan(student: Network, request: Request) -> Drawn:
+def drawn_plan(student: Network, request: Request) -> DrawnPlan:
     """Bundles from the head, what the denoiser draws for them if it can, and seconds by stage."""
     (drawn,) = drawn_plans(student, [request])
     return drawn
 
 
-def drawn_plans(student: Network, requests: Sequence[Request]) -> list[Drawn]:
+def drawn_plans(student: Network, requests: Sequence[Request]) -> list[DrawnPlan]:
     """`drawn_plan` of several scenes: one pass of the network decides for all of them, and one draws all fleets.
 
     The seconds of each stage are shared evenly.
@@ -132,9 +141,14 @@ def drawn_plans(student: Network, requests: Sequence[Request]) -> list[Drawn]:
 
 def hybrid(request: Request) -> Proposal:
     """The better of two searches, one of them guided by the network, and the networks' flights; else the classical plan."""
-    bundles, drawing, timing = searched_plan(_computed(shipped_student()), request)
+    student = loaded_student(request.backend)
+    bundles, drawing, timing = searched_plan(student.network, request)
     samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
-    return Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights)
+    from learned.networks.weight_files import file_digest
+
+    told = _told(student) | {"smoother_weights": load_once(file_digest, TIMED_WEIGHTS)}
+    classical = PLANNERS["classical"]
+    return Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights, made_with=told)
 
 
 def _is_ready() -> bool:
@@ -142,10 +156,14 @@ def _is_ready() -> bool:
     return all(path.exists() for path in (WEIGHTS, TIMED_WEIGHTS)) and all(map(find_spec, ("torch", "safetensors")))
 
 
-hybrid.is_ready = _is_ready  # type: ignore[attr-defined]
+LEARNED = Planner(learned, is_ready=_is_ready, takes_backend=True)
+LEARNED_PAPER = Planner(learned_paper, "learned-paper", is_ready=_is_ready, takes_backend=True)
+
+#: It plans where nobody is named and it is ready: its fleets are done sooner, and it is never farther in than ``classical``.
+HYBRID = Planner(hybrid, is_ready=_is_ready, takes_backend=True, rank=20)
 
 
-def searched_plan(student: Network, request: Request) -> Drawn:
+def searched_plan(student: Network, request: Request) -> DrawnPlan:
     """The better bundles of two searches, what the denoiser draws for them if it can, and seconds by stage."""
     began = perf_counter()
     (preferences,), tokens = _decisions(student, [request.scene])
@@ -200,7 +218,7 @@ def _decisions(student: Network, scenes: Sequence[Scene]) -> tuple[list[FloatArr
 
 def _drawings(
     student: Network, requests: Sequence[Request], found: Sequence[Bundles], tokens: AgentTokens | None
-) -> list[Drawing | None]:
+) -> list[DrawnFleet | None]:
     """Each fleet drawn and pulled taut; None where a drone has more legs than there are samples: then the paths are flown."""
     from learned.student.inference import draw
     from learned.student.pulling import pulled_samples
@@ -211,7 +229,7 @@ def _drawings(
     seeds = [requests[place].seed for place in places]
     examples = [base for base in bases if base is not None]
     drawings = draw(student, examples, steps=STEPS, tries=TRIES, seed=seeds, tokens=known)
-    result: list[Drawing | None] = [None] * len(bases)
+    result: list[DrawnFleet | None] = [None] * len(bases)
     for place, drawing in zip(places, drawings, strict=True):
         result[place] = replace(drawing, samples=pulled_samples(drawing.example, drawing.samples))
     return result

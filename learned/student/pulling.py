@@ -11,7 +11,6 @@ import numpy as np
 from flockopt.flights.waypoints import CHORD_TOLERANCE
 from flockopt.records.arrays import FloatArray
 from learned.student.legs.choice import pull_legs
-from learned.student.legs.clearance import obstructions
 from learned.student.scenes.examples import Example
 
 __all__ = ["pulled_samples", "ways_of"]
@@ -22,10 +21,11 @@ def pulled_samples(one: Example, samples: FloatArray) -> FloatArray:
 
     The corners that are left come first on each leg, and its end is repeated after them.
     """
-    result, space = samples.copy(), obstructions(one.scene)
-    for drone in np.flatnonzero(one.blocked.any(axis=1)):
-        tolerance = CHORD_TOLERANCE * one.scene.drones[drone].radius
-        pull_legs(space, int(drone), one.leg_end[drone], one.blocked[drone], result[drone], tolerance)
+    result = samples.copy()
+    for drone in np.flatnonzero(one.is_blocked):
+        radius = one.scene.drones[drone].radius
+        tolerance, space = CHORD_TOLERANCE * radius, one.scene.free_space(radius + one.scene.clearance)
+        pull_legs(space, one.leg_end[drone], one.blocked[drone], result[drone], tolerance)
     return result
 
 

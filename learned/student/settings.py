@@ -63,17 +63,15 @@ class StudentSettings:
     objective: str = "diffusion"
 
     def __post_init__(self) -> None:
-        for field in ("hidden", "rounds", "width", "blocks", "heads", "num_samples", "patch", "num_noise_levels"):
-            checks.integer(SettingsError, field, getattr(self, field), least=1)
-        for field in ("num_drone_slots", "nearest_obstacles"):
-            checks.integer(SettingsError, field, getattr(self, field), least=0)
+        positive = ("hidden", "rounds", "width", "blocks", "heads", "num_samples", "patch", "num_noise_levels")
+        checks.store(self, checks.integer, SettingsError, *positive, least=1)
+        checks.store(self, checks.integer, SettingsError, "num_drone_slots", "nearest_obstacles", least=0)
+        checks.store(self, checks.flag, SettingsError, "fleet_attention")
+        for field, known in (("frame", FRAMES), ("head", HEADS), ("objective", OBJECTIVES)):
+            checks.store(self, checks.choice, SettingsError, field, known=known)
         for field, whole, part in (("num_samples", self.num_samples, self.patch), ("width", self.width, 2 * self.heads)):
             if whole % part:
                 raise SettingsError(field, f"is {whole}", f"must be a multiple of {part}", "choose another")
-        for field, choices in (("frame", FRAMES), ("head", HEADS), ("objective", OBJECTIVES)):
-            if getattr(self, field) not in choices:
-                value = f"is {getattr(self, field)!r}"
-                raise SettingsError(field, value, f"must be one of {', '.join(choices)}", "choose one")
 
     @property
     def num_patches(self) -> int:
@@ -83,7 +81,7 @@ class StudentSettings:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> StudentSettings:
         """Settings from a weight file's header; an unknown key is an error."""
-        return cls(**checks.keys(SettingsError, values, (), [field.name for field in dataclasses.fields(cls)]))
+        return checks.from_keys(SettingsError, cls, values)
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values, for a weight file's header."""

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,8 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.attention import SDPBackend
 
-from flockopt import FlockError
 from flockopt.batches.run_folder import RunFolder
+from flockopt.cli.status import run_command
 from learned.networks.training import Learner, Run, add_run_options, held_out, settings_of
 from learned.student.checkpoint import STORAGES, load_student, save_student
 from learned.student.inference import draw
@@ -36,7 +36,7 @@ from learned.student.scenes.batch import FleetBatch, collate
 from learned.student.scenes.demonstrated import example_of
 from learned.student.scenes.examples import Example
 from learned.student.settings import CONFIGS
-from learned.student.training_settings import TrainingSettings
+from learned.student.training_settings import StudentTrainingSettings
 
 __all__ = ["Trainer", "main"]
 
@@ -60,15 +60,12 @@ class Trainer(Learner[Student]):
         world: How many processes there are.
     """
 
-    def __init__(self, settings: TrainingSettings, examples: Sequence[Example], rank: int = 0, world: int = 1) -> None:
+    def __init__(self, settings: StudentTrainingSettings, examples: Sequence[Example], rank: int = 0, world: int = 1) -> None:
         self.settings, self.examples, self.rank, self.world = settings, examples, rank, world
         torch.manual_seed(settings.seed)
         student = Student(CONFIGS[settings.config])
         student.spread.copy_(_spread(student, examples))
-        cuda = torch.cuda.is_available()
-        super().__init__(
-            student, settings, torch.device("cuda", rank % torch.cuda.device_count()) if cuda else torch.device("cpu")
-        )
+        super().__init__(student, settings, _device(rank))
         if student.settings.fleet_attention:
             self.attention = LONG_SEQUENCES
         loss = StudentLoss(student)
@@ -99,7 +96,7 @@ def _device(rank: int) -> torch.device:
 def measure(student: Student, examples: Sequence[Example]) -> dict[str, float]:
     """Shares of scenes and of blocked drones clear before mending, one try; share of tasks given to the teacher's drone."""
     drawings = draw(student, examples, tries=1)
-    blocked = np.concatenate([one.blocked.any(axis=1) for one in examples])
+    blocked = np.concatenate([one.is_blocked for one in examples])
     clear = np.concatenate([drawing.clear for drawing in drawings])
     batch = collate(examples)
     with torch.inference_mode():
@@ -126,7 +123,7 @@ def _spread(student: Student, examples: Sequence[Example]) -> Tensor:
 
 
 def run(
-    settings: TrainingSettings,
+    settings: StudentTrainingSettings,
     data: Sequence[Path],
     out: Path,
     rank: int,
@@ -159,29 +156,27 @@ def run(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     torch.set_num_threads(options.threads)
     try:
-        settings = settings_of(options, TrainingSettings, list(TrainingSettings.__dataclass_fields__))
-        if world > 1:
-            distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
-        if rank == 0:
-            with RunFolder(options.out, settings.to_dict(), "a student's training"):
-                run(settings, options.data, options.out, rank, world, options.begin_with, options.until, options.store_as)
-        else:
-            run(settings, options.data, options.out, rank, world, options.begin_with, options.until, options.store_as)
-    except FlockError as fault:
-        print(f"learned.student.train: {fault}", file=sys.stderr)
-        return 2
+        return run_command("learned.student.train", lambda: _train(options))
     finally:
         if distributed.is_initialized():
             distributed.destroy_process_group()
-    return 0
+
+
+def _train(options: argparse.Namespace) -> None:
+    """Train as one of the processes that torchrun starts, or alone; the first of them owns the folder."""
+    rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+    settings = settings_of(options, StudentTrainingSettings)
+    if world > 1:
+        distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+    with RunFolder(options.out, settings.to_dict(), "a student's training") if rank == 0 else nullcontext():
+        run(settings, options.data, options.out, rank, world, options.begin_with, options.until, options.store_as)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m learned.student.train", description=(__doc__ or "").split("\n")[0])
-    defaults = TrainingSettings()
+    defaults = StudentTrainingSettings()
     parser.add_argument("--config", choices=CONFIGS, help=f"(default {defaults.config})")
     parser.add_argument("--store-as", choices=STORAGES, default=STORAGES[0], help=f"of the weights (default {STORAGES[0]})")
     whole = ("steps", "scenes_per_step", "warmup_steps", "seed")

@@ -2,83 +2,51 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
-from typing import Any
 
 from flockopt.errors import SettingsError
 from flockopt.records import checks
-from learned.networks.training import PRECISIONS
+from learned.networks.schedule import Schedule
 from learned.student.loss import LossWeights
 from learned.student.settings import CONFIGS
 
-__all__ = ["TrainingSettings"]
+__all__ = ["StudentTrainingSettings"]
 
 
-@dataclass(frozen=True)
-class TrainingSettings:
-    """A training run; the same settings and data give the same weights on the same machine.
+@dataclass(frozen=True, kw_only=True)
+class StudentTrainingSettings(Schedule):
+    """A training of a student.
 
     Attributes:
         config: One of `learned.student.settings.CONFIGS`.
-        steps: Of the optimiser.
         scenes_per_step: Over all processes.
-        learning_rate: At its highest; it rises over ``warmup_steps`` and falls along a cosine.
-        weight_decay: Of AdamW.
-        ema_decay: Of the averaged weights, which are the ones that are shipped.
+        allocation_weight: Of the allocation's loss.
+        diffusion_weight: Of the denoiser's loss.
         clearance_weight: Of the clearance penalty, from ``clearance_from`` of all steps on.
-        clip: Greatest norm of a gradient.
-        seed: Of weights, order, noise and mirroring.
-        precision: One of `PRECISIONS`.
+        clearance_from: A share of all steps.
 
     Raises:
-        SettingsError: Naming the field, the value and the rule.
+        SettingsError: Naming the field, the value, the rule and the mend.
     """
 
     config: str = "small"
     steps: int = 12000
     scenes_per_step: int = 32
-    learning_rate: float = 1e-3
-    warmup_steps: int = 200
-    weight_decay: float = 0.01
     ema_decay: float = 0.999
     allocation_weight: float = 1.0
     diffusion_weight: float = 1.0
     clearance_weight: float = 3.0
     clearance_from: float = 0.3
-    clip: float = 1.0
-    seed: int = 0
-    precision: str = "auto"
 
     def __post_init__(self) -> None:
-        for field in ("steps", "scenes_per_step"):
-            checks.integer(SettingsError, field, getattr(self, field), least=1)
-        for field in ("warmup_steps", "seed"):
-            checks.integer(SettingsError, field, getattr(self, field), least=0)
-        for field in ("learning_rate", "clip"):
-            checks.number(SettingsError, field, getattr(self, field), above=0.0)
-        for field in (
-            "weight_decay",
-            "allocation_weight",
-            "diffusion_weight",
-            "clearance_weight",
-            "clearance_from",
-            "ema_decay",
-        ):
-            checks.number(SettingsError, field, getattr(self, field), least=0.0)
-        for field in ("ema_decay", "clearance_from"):
-            if not getattr(self, field) <= 1.0:
-                raise SettingsError(field, f"is {getattr(self, field):g}", "must be from 0 to 1", "give a share")
-        for field, choices in (("config", tuple(CONFIGS)), ("precision", PRECISIONS)):
-            if getattr(self, field) not in choices:
-                value = f"is {getattr(self, field)!r}"
-                raise SettingsError(field, value, f"must be one of {', '.join(choices)}", "choose one")
+        super().__post_init__()
+        weights = ("allocation_weight", "diffusion_weight", "clearance_weight")
+        checks.store(self, checks.choice, SettingsError, "config", known=CONFIGS)
+        checks.store(self, checks.integer, SettingsError, "scenes_per_step", least=1)
+        checks.store(self, checks.number, SettingsError, *weights, least=0.0)
+        checks.store(self, checks.share, SettingsError, "clearance_from")
 
     def loss_weights(self, step: int) -> LossWeights:
         """The weights of the loss's terms at a step."""
         is_fine_tuning = step >= self.clearance_from * self.steps
         return LossWeights(self.allocation_weight, self.diffusion_weight, self.clearance_weight if is_fine_tuning else 0.0)
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain values, for file headers."""
-        return dataclasses.asdict(self)

@@ -23,14 +23,12 @@ from flockopt.errors import SettingsError
 from flockopt.records import checks
 from flockopt.scene import Scene
 from flockopt.travel import Travel
+from learned.networks.shipped import shipped_path
 from learned.teacher.actors.networks import load_actor
 from learned.teacher.episodes import Actor, play
 from learned.teacher.problems import Problems
 
-__all__ = ["ALLOCATORS", "WEIGHTS", "Allocation", "Allocator", "load_allocator"]
-
-#: Where shipped weights are.
-WEIGHTS = Path(__file__).resolve().parent.parent / "weights"
+__all__ = ["ALLOCATORS", "Allocation", "Allocator", "load_allocator"]
 
 #: How many drone-task pairs are decided on at a time; bounds the memory that large scenes take.
 MOST_PAIRS = 200_000
@@ -111,11 +109,8 @@ def load_allocator(method: str, weights: str | Path | None = None) -> Allocator:
     Raises:
         SettingsError: On an unknown method, or a weight file that is missing, damaged or foreign.
     """
-    if method not in ALLOCATORS:
-        value = f"is {checks.shown(method)}"
-        raise SettingsError("method", value, f"must be one of {', '.join(ALLOCATORS)}", "choose one")
-    trained_as = ALLOCATORS[method].trained_as
-    return Allocator(method, load_actor(trained_as, weights or WEIGHTS / f"{trained_as}.safetensors"))
+    trained_as = ALLOCATORS[checks.choice(SettingsError, "method", method, known=ALLOCATORS)].trained_as
+    return Allocator(method, load_actor(trained_as, weights or shipped_path(trained_as)))
 
 
 @dataclass(frozen=True)

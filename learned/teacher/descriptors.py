@@ -127,6 +127,7 @@ def _columns(values: Tensor, tasks: Tensor) -> Tensor:
 
 def _prices(own: Tensor) -> _Prices:
     num_drones = own.shape[1]
+    # the three cheapest drones of a task hold the two cheapest rivals of every drone, whether it is one of the three or not
     least = _with_missing(own, dim=1, extra=3).topk(3, dim=1, largest=False)  # (B, 3, M)
     first, second, third = least.values.unbind(dim=1)
     is_first = torch.arange(num_drones)[:, None] == least.indices[:, :1]  # (B, N, M)

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from learned.teacher.problems import Problems
 
-__all__ = ["AT_START", "FAR", "Choices", "FleetState", "Outcome", "choices", "num_to_serve", "reset", "step"]
+__all__ = ["AT_START", "FAR", "Choices", "FleetState", "StepOutcome", "choices", "num_to_serve", "reset", "step"]
 
 #: The place of a drone that has taken no task yet.
 AT_START = -1
@@ -76,7 +76,7 @@ class Choices:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class StepOutcome:
     """What a step brought.
 
     Attributes:
@@ -134,7 +134,7 @@ def choices(problems: Problems, state: FleetState) -> Choices:
 
 def step(
     problems: Problems, state: FleetState, options: Choices, actions: Tensor, *, step_cost: float = 0.0
-) -> tuple[FleetState, Outcome]:
+) -> tuple[FleetState, StepOutcome]:
     """One decision of every drone.
 
     The team's reward is minus the marginal costs of the tasks taken, divided by scale and number of tasks, less
@@ -156,7 +156,7 @@ def step(
     taken = torch.where(has_won, named, -1)
     paid = torch.where(has_won, options.cost.gather(2, named[..., None])[..., 0], 0.0)
     reward = -paid.sum(dim=1) / num_to_serve(problems) - torch.where(options.is_over, 0.0, step_cost)
-    return _moved(problems, state, taken, has_won, paid), Outcome(taken, paid, reward)
+    return _moved(problems, state, taken, has_won, paid), StepOutcome(taken, paid, reward)
 
 
 def _moved(problems: Problems, state: FleetState, taken: Tensor, has_won: Tensor, paid: Tensor) -> FleetState:

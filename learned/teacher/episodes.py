@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from learned.teacher.descriptors import Observation, observe
-from learned.teacher.environment import Choices, Outcome, choices, num_to_serve, reset, step
+from learned.teacher.environment import Choices, StepOutcome, choices, num_to_serve, reset, step
 from learned.teacher.ppo import masked_log_softmax
 from learned.teacher.problems import Problems
 
@@ -50,7 +50,7 @@ class Moment:
     actions: Tensor
     log_probs: Tensor
     memory: Tensor
-    outcome: Outcome
+    outcome: StepOutcome
     num_to_serve: Tensor
 
 

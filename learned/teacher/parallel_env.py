@@ -27,7 +27,7 @@ MOST_STEPS_A_TASK = 4
 Observations = dict[str, dict[str, np.ndarray[Any, Any]]]
 
 
-class AllocationEnv(ParallelEnv):
+class AllocationEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo ships no types
     """Drones that choose tasks together.
 
     An agent observes ``drone`` (D,), ``tasks`` (M, P), see `learned.teacher.descriptors`, and ``action_mask`` (M + 1,). Its

@@ -9,7 +9,7 @@ inserts what its policy left, which is nothing unless demands or ranges differ, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -19,12 +19,13 @@ from flockopt.bundles import Bundles
 from flockopt.bundles.explain import explained
 from flockopt.bundles.refine import refine_bundles
 from flockopt.bundles.request import RouteTuple
-from flockopt.errors import MissingExtra
+from flockopt.errors import require
 from flockopt.planning.margins import roomier
 from flockopt.planning.planners import ANY_ANGLE, Planner, Proposal, Request
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
+from learned.networks.shipped import load_once
 from learned.paths.rollout import route_legs
 from learned.paths.ways import PATHS, LegPlanner, find_ways
 
@@ -32,14 +33,13 @@ if TYPE_CHECKING:
     from learned.teacher.allocators import Allocator
 
 __all__ = [
-    "allocator", "bundles_of", "control_points", "magnnet", "magnnet_bundling", "refined", "teacher", "teacher_unrefined",
+    "MAGNNET", "MAGNNET_BUNDLING", "TEACHER", "TEACHER_UNREFINED", "allocator", "bundles_of", "control_points", "refined",
 ]  # fmt: skip
 
 #: What MAGNNET says of the tasks it leaves.
 ONE_TASK_EACH = "magnnet gives each drone one task at most; plan with magnnet-bundling"
 
 
-@cache
 def allocator(method: str) -> Allocator:
     """A learned allocator with the weights that come with the package, loaded once.
 
@@ -47,11 +47,10 @@ def allocator(method: str) -> Allocator:
         SettingsError: If the weights are missing or damaged.
         MissingExtra: If torch or safetensors is not installed.
     """
-    try:
-        from learned.teacher.allocators import load_allocator
-    except ImportError as fault:
-        raise MissingExtra(fault.name or "torch", "learned") from None
-    return load_allocator(method)
+    require("torch", extra="learned")
+    from learned.teacher.allocators import load_allocator
+
+    return load_once(load_allocator, method)
 
 
 def _propose(request: Request, method: str, refines: bool = False) -> Proposal:
@@ -86,10 +85,9 @@ def refined(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence
     Raises:
         MissingExtra: If torch is not installed.
     """
-    try:
-        from learned.teacher.refinement import refine
-    except ImportError as fault:
-        raise MissingExtra(fault.name or "torch", "learned") from None
+    require("torch", extra="learned")
+    from learned.teacher.refinement import refine
+
     return refine(scenes, travels, routes)
 
 
@@ -122,13 +120,7 @@ def control_points(scene: Scene, bundles: Bundles, leg: LegPlanner) -> FloatArra
     return np.stack([np.concatenate([path, np.repeat(path[-1:], most - len(path), axis=0)]) for path in paths])
 
 
-def _planner(method: str, *, refines: bool = False) -> Planner:
-    planner = partial(_propose, method=method, refines=refines)
-    planner.paths = PATHS  # type: ignore[attr-defined]
-    return planner
-
-
-magnnet = _planner("magnnet")
-magnnet_bundling = _planner("magnnet-bundling")
-teacher = _planner("teacher", refines=True)
-teacher_unrefined = _planner("teacher")
+MAGNNET = Planner(partial(_propose, method="magnnet"), "magnnet", PATHS)
+MAGNNET_BUNDLING = Planner(partial(_propose, method="magnnet-bundling"), "magnnet-bundling", PATHS)
+TEACHER = Planner(partial(_propose, method="teacher", refines=True), "teacher", PATHS)
+TEACHER_UNREFINED = Planner(partial(_propose, method="teacher"), "teacher-unrefined", PATHS)

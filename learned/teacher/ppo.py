@@ -42,6 +42,7 @@ def generalised_advantages(
     Returns:
         (K, B) each, 0 where not active.
     """
+    # backwards: A_k = delta_k + gamma lambda A_(k+1), delta_k = r_k + gamma V_(k+1) - V_k (Schulman et al. 2016, equation 16)
     advantages = torch.zeros_like(rewards)
     following, next_value = torch.zeros_like(rewards[0]), torch.zeros_like(rewards[0])
     for k in reversed(range(len(rewards))):

@@ -15,6 +15,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from flockopt.bundles.request import RouteTuple
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from learned.teacher.problems import Problems
@@ -33,10 +34,8 @@ NO_WAY_M = 1e7
 #: How many pairs of gaps are weighed at a time; bounds the memory that large scenes take.
 MOST_PAIRS = 4_000_000
 
-Routes = tuple[tuple[int, ...], ...]
 
-
-def refine(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence[Sequence[Sequence[int]]]) -> list[Routes]:
+def refine(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence[Sequence[Sequence[int]]]) -> list[RouteTuple]:
     """Bundles with less travel; tasks that were not served stay so, and capacities and longest routes are kept.
 
     Args:
@@ -69,7 +68,7 @@ def _finite(problems: Problems) -> Problems:
     return problems.replace(**lengths)
 
 
-def _as_routes(scene: Scene, owner: list[int], rank: list[float]) -> Routes:
+def _as_routes(scene: Scene, owner: list[int], rank: list[float]) -> RouteTuple:
     bundles: list[list[int]] = [[] for _ in range(scene.num_drones)]
     for task in sorted(range(scene.num_tasks), key=rank.__getitem__):
         if owner[task] < scene.num_drones:
@@ -274,6 +273,8 @@ def _best_exchange(fleet: _Fleet) -> Move:
     legs = fleet.at_tasks(fleet.leg_across) + fleet.at_tasks(fleet.leg_across, 1)
     # (B, M, M) m: how much longer the route of a task gets when another stands in its place.
     longer = fleet.at_tasks(fleet.legs_in) + fleet.at_tasks(fleet.legs_out, 1) - legs[..., None]
+    # Entry (j, k) and its mirror image (k, j) are the two halves of one exchange; neighbours in a route share a leg, which
+    # would count twice, and are left out.
     total = longer + longer.mT
     is_shared = fleet.owner[:, :, None] == fleet.owner[:, None, :]
     is_served = fleet.owner < problems.num_drones
@@ -332,6 +333,7 @@ def _length_with_tail(fleet: _Fleet) -> Tensor:
     """(B, G, G) m: of every route up to one gap and on with what comes behind another, to its own drone's end."""
     problems = fleet.problems
     num_drones, num_tasks, width = problems.num_drones, problems.num_tasks, fleet.longest + 1
+    # Prefix sums along each route give the way to any gap and the way behind it, so that all pairs cost one addition each.
     walked = (fleet.leg_across.cumsum(dim=2) - fleet.leg_across).flatten(1)  # (B, G) m, from the start to a gap
     to_end = torch.where(fleet.is_gap, fleet.end_legs, 0.0).gather(2, fleet.size[..., None])[..., 0]  # (B, N) the last leg
     behind = (fleet.length - to_end)[..., None] - (fleet.leg_across.cumsum(dim=2))  # (B, N, L + 1) m, between the tasks behind

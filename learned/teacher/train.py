@@ -15,10 +15,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flockopt import FlockError, MissingExtra, SettingsError
+from flockopt import SettingsError
 from flockopt.batches.progress import ProgressBar
+from flockopt.cli.status import run_command
+from flockopt.errors import require
 from flockopt.records import checks, files
-from learned.teacher.training.settings import METHODS, TrainingSettings
+from learned.networks.shipped import shipped_path
+from learned.teacher.training.settings import METHODS, AllocatorTrainingSettings
 
 __all__ = ["main"]
 
@@ -26,12 +29,7 @@ __all__ = ["main"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    try:
-        _train(options)
-    except FlockError as fault:
-        print(f"learned.teacher.train: {fault}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command("learned.teacher.train", lambda: _train(options))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -47,7 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--threads", type=int, default=1, help="of torch (default 1)")
     parser.add_argument("--install", action="store_true", help="copy the weights to learned/weights at the end")
     settings = parser.add_argument_group("settings of the training")
-    for field in dataclasses.fields(TrainingSettings):
+    for field in dataclasses.fields(AllocatorTrainingSettings):
         if field.name not in ("method", "seed"):
             flag = "--" + field.name.replace("_", "-")
             settings.add_argument(flag, type=type(field.default), metavar="X", help=f"default {field.default:g}")
@@ -55,16 +53,16 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _train(options: argparse.Namespace) -> None:
-    names = [field.name for field in dataclasses.fields(TrainingSettings)]
+    names = [field.name for field in dataclasses.fields(AllocatorTrainingSettings)]
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    settings = TrainingSettings.from_dict(given)
+    settings = AllocatorTrainingSettings.from_dict(given)
     threads = checks.integer(SettingsError, "threads", options.threads, least=1)
     checks.integer(SettingsError, "jobs", options.jobs, least=1)
-    try:
-        import torch
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as fault:
-        raise MissingExtra(fault.name or "torch", "learned") from None
+    require("torch", extra="learned")
+    require("tensorboard", extra="learned")
+    import torch
+    from torch.utils.tensorboard import SummaryWriter
+
     from learned.teacher.training.run import Training, final_weights
     from learned.teacher.training.scene_pool import ScenePool, build_pool
     from learned.teacher.training.validation import ValidationSet
@@ -96,9 +94,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _install(path: Path) -> None:
-    from learned.teacher.allocators import WEIGHTS
-
-    files.write_whole(SettingsError, WEIGHTS / path.name, path.read_bytes())
+    files.write_whole(SettingsError, shipped_path(path.stem), path.read_bytes())
 
 
 def _words(row: dict[str, float]) -> str:

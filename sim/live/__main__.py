@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flockopt import Changes, FlockError, Plan, PlanError, Scene, SettingsError, plan, replan
+from flockopt import Changes, Plan, PlanError, Scene, SettingsError, plan, replan
+from flockopt.cli.status import INTERRUPTED, run_command
 from flockopt.records import checks
-from sim.live.page import Page, load_viser
-from sim.live.session import Session
+from flockopt.records.status import Status
+from sim.live.page import Page
+from sim.live.serving import load_viser
+from sim.live.session import MOST_SPEED, Session
 from sim.trials.trial import TRACKING_MARGIN_M
 
 __all__ = ["main"]
-
-BAD_INPUT, INTERRUPTED = 2, 130
 
 PICTURES_PER_S = 30.0
 
@@ -47,26 +47,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
     try:
-        load_viser()
-        if not 0 <= options.port <= MOST_PORT:
-            raise SettingsError("port", f"is {options.port}", f"must be within 0 and {MOST_PORT}", "choose one above 1023")
-        scene = _with_spare(Scene.load(options.scene), options.spare)
-        made = _planned(scene, options)
-        with Session(scene, made, seed=options.seed, speed=options.speed, tracking_margin_m=options.tracking_margin) as session:
-            _serve(session, options.port)
-    except FlockError as fault:
-        print(f"sim.live: {fault}", file=sys.stderr)
-        return BAD_INPUT
+        return run_command("sim.live", lambda: _live(options))
     except KeyboardInterrupt:
         return INTERRUPTED
-    return 0
+
+
+def _live(options: argparse.Namespace) -> None:
+    load_viser()
+    if not 0 <= options.port <= MOST_PORT:
+        raise SettingsError("port", f"is {options.port}", f"must be within 0 and {MOST_PORT}", "choose one above 1023")
+    scene = _with_spare(Scene.load(options.scene), options.spare)
+    made = _planned(scene, options)
+    with Session(scene, made, seed=options.seed, speed=options.speed, tracking_margin_m=options.tracking_margin) as session:
+        _serve(session, options.port)
 
 
 def _parser() -> argparse.ArgumentParser:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog="python -m sim.live", description=__doc__, epilog=MANUAL, formatter_class=raw)
     parser.add_argument("scene", type=Path, metavar="SCENE", help="scene file")
-    parser.add_argument("--speed", type=float, default=1.0, help="seconds flown for each second on the wall (default 1)")
+    parser.add_argument(
+        "--speed", type=float, default=1.0,
+        help=f"seconds flown for each second on the wall, {MOST_SPEED:g} at most (default 1)",
+    )  # fmt: skip
     parser.add_argument(
         "--port", type=int, default=DEFAULT_PORT,
         help=f"the next free one is taken if it is not; 0 takes any (default {DEFAULT_PORT})",
@@ -93,7 +96,7 @@ def _planned(scene: Scene, options: argparse.Namespace) -> Plan:
     """The first plan, once replanning is warmed up too, so that the first order is answered as fast as the others."""
     print(f"planning {scene.name}: {scene.num_drones} drones, {scene.num_tasks} tasks", flush=True)
     made = plan(scene, planner=options.planner, seed=options.seed, tracking_margin_m=options.tracking_margin)
-    if made.status != "certified":
+    if made.status != Status.CERTIFIED:
         mend = "try another seed, or --tracking-margin 0"
         raise PlanError("plan", f"is {made.status} {made.reason}".rstrip(), "only certified plans are flown", mend)
     replan(scene, made, 0.0, Changes(), seed=options.seed, tracking_margin_m=options.tracking_margin)

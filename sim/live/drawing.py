@@ -19,7 +19,7 @@ from sim.live.view import TaskView, View
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["Drawing"]
+__all__ = ["FleetDrawing"]
 
 GREY, DARK, WHITE = (158, 166, 178), (60, 66, 76), (255, 255, 255)
 
@@ -33,7 +33,7 @@ LEAST_SIZE = 0.008
 TRAIL, WAY, EDGE = 0.5, 0.25, 0.1
 
 
-class Drawing:
+class FleetDrawing:
     """What a page shows of a scene and of what moves in it.
 
     Args:

@@ -4,48 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import redirect_stdout
-from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-from flockopt.errors import FlockError, MissingExtra
-from sim.live.drawing import Drawing
+from flockopt.errors import FlockError
+from sim.live.drawing import FleetDrawing
 from sim.live.picking import first_hit, typed_point
-from sim.live.session import Session
+from sim.live.serving import HOST, local_server, stop_server
+from sim.live.session import MOST_SPEED, Session
 from sim.live.text import log_text, status_text, verdict_text
 from sim.live.view import View
 
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["HOST", "Page", "load_viser"]
-
-#: The page is for whoever sits at this machine.
-HOST = "127.0.0.1"
+__all__ = ["Page"]
 
 #: Seconds of flight between two drawings of the ways ahead.
 WAYS_EVERY_S = 0.25
 
 #: Speeds that can be chosen on the page, and strengths of gusts (m/s): least, most, step.
-SPEEDS, GUSTS = (0.1, 8.0, 0.1), (0.5, 8.0, 0.5)
+SPEEDS, GUSTS = (0.1, MOST_SPEED, 0.1), (0.5, 8.0, 0.5)
 
 #: Added tasks hang this many times the room that a drone needs above what was clicked, if nobody moves the slider.
 USUAL_HEIGHT = 4.0
 
 NOTHING_OPEN = "none"
-
-
-def load_viser() -> Any:
-    """The module viser.
-
-    Raises:
-        MissingExtra: If it is not installed.
-    """
-    try:
-        import viser
-    except ImportError:
-        raise MissingExtra("viser", "live") from None
-    return viser
 
 
 class Page:
@@ -57,16 +40,13 @@ class Page:
 
     Raises:
         MissingExtra: If viser is not installed.
+        SolverFailed: If viser cannot be held to this page alone.
     """
 
     def __init__(self, session: Session, port: int) -> None:
         self._session, self._scene = session, session.scene
-        viser_module = load_viser()
-        with redirect_stdout(StringIO()):  # it announces itself in a way of its own
-            self.server: viser.ViserServer = viser_module.ViserServer(
-                host=HOST, port=port, label="flockopt live", verbose=False
-            )
-        self._drawing = Drawing(self.server, self._scene)
+        self.server: viser.ViserServer = local_server(port, "flockopt live")
+        self._drawing = FleetDrawing(self.server, self._scene)
         self._ways_s, self._plan_number = -math.inf, -1
         gui = self.server.gui
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
@@ -87,8 +67,7 @@ class Page:
 
     def close(self) -> None:
         """Stop serving."""
-        with redirect_stdout(StringIO()):
-            self.server.stop()
+        stop_server(self.server)
 
     def refresh(self) -> None:
         """Show how the session stands now."""
@@ -117,9 +96,11 @@ class Page:
         pause = gui.add_button("Pause or go on")
         speed = gui.add_slider("Speed", *SPEEDS, min(max(session.speed, SPEEDS[0]), SPEEDS[1]))
 
-        @speed.on_update
-        def _(event: Any) -> None:
-            session.speed = speed.value
+        def hasten(event: Any) -> None:
+            session.speed = _slid(speed)
+            speed.value = session.speed
+
+        speed.on_update(_order(hasten))
 
         @pause.on_click
         def _(event: Any) -> None:
@@ -140,7 +121,7 @@ class Page:
         def clicked(event: Any) -> None:
             if by_click.value:
                 x, y, z = first_hit(scene, event.ray_origin, event.ray_direction)
-                session.add_task((x, y, round(z + height.value, 3)))
+                session.add_task((x, y, round(z + _slid(height), 3)))
 
         self.server.scene.on_click()(_order(clicked))
         add.on_click(_order(lambda event: session.add_task(typed_point(place.value))))
@@ -154,7 +135,12 @@ class Page:
             strength = gui.add_slider("gust, m/s", *GUSTS, 3.0)
             gust = gui.add_button("Let it blow for 2 s")
         kill.on_click(_order(lambda event: session.kill(drone.value)))
-        gust.on_click(_order(lambda event: session.blow((strength.value, 0.0, 0.0))))
+        gust.on_click(_order(lambda event: session.blow((_slid(strength), 0.0, 0.0))))
+
+
+def _slid(slider: viser.GuiSliderHandle[float]) -> float:
+    """What a slider says, within its ends: it has a box to type in, and whoever speaks to the server may send anything."""
+    return min(max(slider.value, slider.min), slider.max)
 
 
 def _order(carry_out: Callable[[Any], object]) -> Callable[[Any], None]:

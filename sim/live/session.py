@@ -21,11 +21,14 @@ from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Point, Scene, Task
 from sim.live.view import TaskView, View
-from sim.mission.events import Gust
 from sim.mission.mission import Mission
+from sim.mission.wind import Gust
 from sim.physics.settings import FlightSettings
 
-__all__ = ["Session"]
+__all__ = ["MOST_SPEED", "Session"]
+
+#: Seconds flown for each second on the wall, at most: whoever watches waits while a tick is flown, and a tick is short.
+MOST_SPEED = 8.0
 
 #: Seconds on the wall that one call of `Session.tick` makes up for at most; after longer ones the flight just goes on.
 LONGEST_TICK_S = 0.1
@@ -53,7 +56,7 @@ class Session:
 
     Raises:
         PlanError: If the plan is for another scene or does not hold.
-        SettingsError: If the speed is not positive.
+        SettingsError: If the speed is not positive, or above `MOST_SPEED`.
         MissingExtra: If PyBullet is not installed.
     """
 
@@ -85,32 +88,37 @@ class Session:
 
     @property
     def speed(self) -> float:
-        """Seconds flown for each second on the wall."""
+        """Seconds flown for each second on the wall, above 0 and at most `MOST_SPEED`."""
         return self._speed
 
     @speed.setter
     def speed(self, value: float) -> None:
-        self._speed = checks.number(SettingsError, "speed", value, above=0.0)
+        speed = checks.number(SettingsError, "speed", value, above=0.0)
+        if speed > MOST_SPEED:
+            rule = f"must be at most {MOST_SPEED:g}, so that the page is not kept waiting"
+            raise SettingsError("speed", f"is {speed:g}", rule, "choose less; python -m sim.fly flies as fast as it can")
+        self._speed = speed
 
     @property
     def is_waiting(self) -> bool:
         """Whether all flights are at their end and nothing is to come: the clock then stands until the next order."""
-        mission = self._mission
-        rest_s = max(mission.end_s + mission.settings.settle_s, self._calm_s)
-        return mission.pending is None and mission.now_s >= rest_s
+        state = self._mission.state
+        rest_s = max(state.end_s + state.terms.settings.settle_s, self._calm_s)
+        return state.pending is None and state.now_s >= rest_s
 
     def tick(self, wall_s: float) -> None:
         """Fly on by what ``wall_s`` seconds on the wall amount to."""
         with self._lock:
             if self.is_paused or self.is_waiting:
                 return
-            before, swaps = set(self._mission.serviced), len(self._mission.swapped)
+            state = self._mission.state
+            before, swaps = set(state.served), len(state.swapped)
             # The mission flies whole steps; what it is ahead by must not add up.
             self._due_s = self._due_s + self._speed * min(wall_s, LONGEST_TICK_S)
             self._mission.advance(self._due_s)
-            if len(self._mission.swapped) > swaps:
+            if len(state.swapped) > swaps:
                 self._note("the new plan is flown")
-            for task in self._mission.serviced:
+            for task in state.served:
                 if task not in before:
                     self._note(f"{task} is served")
 
@@ -146,7 +154,7 @@ class Session:
             SettingsError: If it is not open.
         """
         with self._lock:
-            if task not in self._mission.open:
+            if task not in self._mission.state.open:
                 raise SettingsError("task", f"is {task!r}", "must be one that is still to be served", "choose an open one")
             self._order(f"{task} is withdrawn", Changes(removed=(task,)))
             del self._tasks[task]
@@ -158,7 +166,7 @@ class Session:
             SettingsError: If it is not in the air, or the last one.
         """
         with self._lock:
-            where = self._mission.positions().get(drone)
+            where = self._mission.state.positions.get(drone)
             self._order(f"{drone} is lost", Changes(lost=(drone,)))
             if where is not None:
                 self._lost[drone] = where
@@ -171,7 +179,7 @@ class Session:
         """
         with self._lock:
             seconds = checks.number(SettingsError, "seconds", seconds, above=0.0)
-            gust = Gust(self._mission.now_s, seconds, checks.point(SettingsError, "velocity", velocity))
+            gust = Gust(self._mission.state.now_s, seconds, checks.point(SettingsError, "velocity", velocity))
             self._mission.blow(gust)
             self._calm_s = max(self._calm_s, gust.time_s + seconds + CALMING_S)
             self._note(f"a gust of {math.hypot(*gust.velocity):.1f} m/s blows")
@@ -183,26 +191,26 @@ class Session:
             self._note(f"{task} is left out: {reason}")
 
     def _note(self, words: str) -> None:
-        self._log.append(f"{self._mission.now_s:7.2f} s  {words}")
+        self._log.append(f"{self._mission.state.now_s:7.2f} s  {words}")
 
     # -- how it stands --------------------------------------------------------------------------------------
 
     def view(self) -> View:
         """How the session stands now."""
         with self._lock:
-            mission = self._mission
+            mission = self._mission.state
             state: Literal["flying", "paused", "waiting"] = "flying"
             if self.is_waiting or self.is_paused:
                 state = "paused" if self.is_paused else "waiting"
             return View(
-                now_s=mission.now_s, state=state, drones=mission.positions(), lost=dict(self._lost), tasks=self._task_views(),
+                now_s=mission.now_s, state=state, drones=mission.positions, lost=dict(self._lost), tasks=self._task_views(),
                 plan=mission.plan, plan_number=len(mission.swapped) + len(self._lost), swap_s=mission.swap_s - mission.now_s,
                 answer=mission.answers[-1] if mission.answers else None, contacts=len(mission.touches), log=tuple(self._log),
             )  # fmt: skip
 
     def _task_views(self) -> tuple[TaskView, ...]:
-        mission = self._mission
-        served, reasons = set(mission.serviced), mission.unserved
+        mission = self._mission.state
+        served, reasons = set(mission.served), mission.unserved
         plan = mission.plan if mission.pending is None else mission.pending.plan
         server = {task: drone for drone, tasks in plan.routes.items() if drone not in self._lost for task in tasks}
         views = []
@@ -218,10 +226,10 @@ class Session:
     def ways(self) -> dict[str, FloatArray]:
         """(V, 3) m by id: what drones in the air have still ahead of them in the plan now flown."""
         with self._lock:
-            mission = self._mission
+            mission = self._mission.state
             now_s = mission.now_s - mission.begun_s
             ways = {}
-            for drone in mission.positions():
+            for drone in mission.positions:
                 flight = mission.plan.flights.get(drone)
                 if flight is not None and flight.curve.end_time > now_s:
                     begin = max(now_s, flight.curve.start_time)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from flockopt.records.status import Status
 from sim.live.view import View
 
 __all__ = ["log_text", "status_text", "verdict_text"]
@@ -30,7 +31,7 @@ def verdict_text(view: View) -> str:
         lines.append(f"a new certified plan is swapped in in {max(view.swap_s, 0.0):.1f} s")
     if view.answer is not None:
         answer, verdict = view.answer, view.answer.plan.status
-        kept = "" if verdict == "certified" else "; refused, the old plan is flown on"
+        kept = "" if verdict == Status.CERTIFIED else "; refused, the old plan is flown on"
         lines.append(f"last answer: {1000.0 * answer.seconds:.0f} ms, {answer.strategy} bundles, **{verdict}**{kept}")
     lines += [f"{task.id} is left out: {task.reason}" for task in view.tasks if task.state == "left out"]
     return "\n\n".join(lines)

@@ -17,11 +17,11 @@ from flockopt.certificate import Plan
 from flockopt.errors import SceneError, SettingsError
 from flockopt.planning.handover import Changes
 from flockopt.records import checks
-from flockopt.records.arrays import FloatArray
-from flockopt.scene import Point, Scene, Task
+from flockopt.scene import Scene, Task
+from sim.mission.wind import Gust
 
 __all__ = [
-    "KINDS", "DroneLate", "DroneLost", "Event", "EventSettings", "Gust", "TaskAdded", "TaskRemoved", "random_task", "schedule",
+    "KINDS", "DroneLate", "DroneLost", "Event", "EventSettings", "TaskAdded", "TaskRemoved", "random_task", "schedule",
 ]  # fmt: skip
 
 #: What can happen: tasks added and removed, drones lost and late, gusts.
@@ -87,24 +87,6 @@ class DroneLate:
         return Changes(late={self.drone: self.seconds})
 
 
-@dataclass(frozen=True)
-class Gust:
-    """The whole air moves for ``duration_s`` from ``time_s`` on, and as fast as ``velocity`` (m/s) in the middle.
-
-    The speed is a discrete gust of one minus cosine, as in MIL-F-8785C, section 3.7.
-    """
-
-    time_s: float
-    duration_s: float
-    velocity: Point
-
-    def __call__(self, time_s: float) -> FloatArray:
-        """(3,) m/s, the air's velocity at a time."""
-        share = (time_s - self.time_s) / self.duration_s
-        strength = 0.5 * (1.0 - math.cos(2.0 * math.pi * share)) if 0.0 < share < 1.0 else 0.0
-        return strength * np.array(self.velocity)
-
-
 Event: TypeAlias = TaskAdded | TaskRemoved | DroneLost | DroneLate | Gust
 
 
@@ -132,9 +114,8 @@ class EventSettings:
     gust_s: float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "number", checks.integer(SettingsError, "number", self.number, least=1))
-        for field in ("within", "most_late_s", "gust_mps", "gust_s"):
-            object.__setattr__(self, field, checks.number(SettingsError, field, getattr(self, field), above=0.0))
+        checks.store(self, checks.integer, SettingsError, "number", least=1)
+        checks.store(self, checks.number, SettingsError, "within", "most_late_s", "gust_mps", "gust_s", above=0.0)
         object.__setattr__(self, "kinds", tuple(self.kinds))
         for kind in self.kinds or ("",):
             if kind not in KINDS:

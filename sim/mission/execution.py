@@ -8,7 +8,7 @@ from functools import cached_property
 from flockopt.flights import Flight
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
-from sim.mission.measures import Outcome, measure
+from sim.mission.measures import Measures, measure
 from sim.physics.fleet import VELOCITY
 from sim.physics.settings import FlightSettings
 from sim.physics.world import Touch
@@ -61,6 +61,6 @@ class Execution:
         return float(self.times[-1]) / self.cpu_s
 
     @cached_property
-    def outcome(self) -> Outcome:
+    def measures(self) -> Measures:
         """What the flight achieved, measured on its record."""
         return measure(self.scene, self.flights, self.times, self.positions, self.settings.service_radius)

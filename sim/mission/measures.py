@@ -15,11 +15,11 @@ from flockopt.geometry.kernels import point_distance
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 
-__all__ = ["Outcome", "measure", "worst_distance"]
+__all__ = ["Measures", "measure", "worst_distance"]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Measures:
     """Measures of a flight.
 
     Attributes:
@@ -44,7 +44,7 @@ class Outcome:
 
 def measure(
     scene: Scene, flights: Mapping[str, Flight], times: FloatArray, positions: FloatArray, service_radius: float
-) -> Outcome:
+) -> Measures:
     """Measure a recorded flight.
 
     Args:
@@ -62,7 +62,7 @@ def measure(
     scale = axes / axes[0] if axes[0] > 0.0 else np.ones(3)
     clearance = least_clearance(scene.obstacle_table, scene.obstacle_boxes, scene.radii, np.ascontiguousarray(positions))
     separation = least_separation(np.ascontiguousarray(positions / scale))
-    return Outcome(
+    return Measures(
         served=served,
         missed=missed,
         completion=len(served) / scene.num_tasks if scene.num_tasks else 1.0,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from flockopt.certificate import Plan
 from flockopt.certificate.judge import certify
 from flockopt.errors import PlanError
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
@@ -23,7 +24,7 @@ def require_certified(scene: Scene, plan: Plan, travel: Travel | None) -> None:
         PlanError: Naming the clauses that fail.
     """
     mend = "plan the scene again, or fly it all the same with force=True (--force)"
-    if plan.status == "infeasible":
+    if plan.status == Status.INFEASIBLE:
         raise PlanError("status", f"is 'infeasible' ({plan.reason})", "only certified plans are flown", mend)
     failed = [clause for clause in certify(scene, plan, travel=travel).clauses if not clause.holds]
     if failed:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from flockopt.errors import SettingsError
 from flockopt.records import checks
@@ -47,25 +46,17 @@ class FlightSettings:
     every_step: bool = False
 
     def __post_init__(self) -> None:
-        for field in ("physics_hz", "attitude_hz", "service_radius"):
-            self._set(field, checks.number(SettingsError, field, getattr(self, field), above=0.0))
-        self._set("settle_s", checks.number(SettingsError, "settle_s", self.settle_s, least=0.0))
-        _choose("controller", self.controller, tuple(CONTROLLERS))
-        _choose("shape", self.shape, SHAPES)
+        checks.store(self, checks.number, SettingsError, "physics_hz", "attitude_hz", "service_radius", above=0.0)
+        checks.store(self, checks.number, SettingsError, "settle_s", least=0.0)
+        checks.store(self, checks.choice, SettingsError, "controller", known=CONTROLLERS)
+        checks.store(self, checks.choice, SettingsError, "shape", known=SHAPES)
         if self.vehicle is not None:
-            _choose("vehicle", self.vehicle, tuple(VEHICLES))
+            checks.store(self, checks.choice, SettingsError, "vehicle", known=VEHICLES)
+        checks.store(self, checks.flag, SettingsError, "has_drag", "has_downwash", "every_step")
         if self.has_downwash and not self.has_drag:
             raise SettingsError("has_downwash", "is True", "needs has_drag, through which air is felt", "set both or neither")
-
-    def _set(self, field: str, value: Any) -> None:
-        object.__setattr__(self, field, value)
 
     @property
     def num_inner(self) -> int:
         """How often controllers run in a step of the physics."""
         return max(1, math.ceil(self.attitude_hz / self.physics_hz - 1e-9))
-
-
-def _choose(field: str, value: Any, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise SettingsError(field, f"is {checks.shown(value)}", f"must be one of {', '.join(known)}", "choose one")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flockopt.errors import SettingsError
+from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Scene
 from flockopt.scene.scene import GRAVITY_MPS2
@@ -165,8 +166,8 @@ def vehicles_of(scene: Scene, name: str | None = None) -> list[Vehicle]:
 
 def vehicle_names(scene: Scene, name: str | None = None) -> list[str]:
     """Which vehicle each drone of the scene is; arguments and errors as in `vehicles_of`."""
-    if name is not None and name not in VEHICLES:
-        raise SettingsError("vehicle", f"is {name!r}", f"must be one of {', '.join(VEHICLES)}", "choose one")
+    if name is not None:
+        checks.choice(SettingsError, "vehicle", name, known=VEHICLES)
     return [name or _suited(drone) for drone in scene.drones]
 
 

@@ -1,10 +1,11 @@
 """A PyBullet world made from a scene: its obstacles, its drones, and what touches what.
 
-A step writes each drone's mean velocity, which `sim.physics.fleet` has worked out from thrust, gravity and drag; PyBullet moves the
-bodies and finds and resolves contacts. A body that nothing is near to ends where that velocity takes it, which is known
-without asking. PyBullet has no calls for many bodies at once, and each call costs as much as a drone's whole controller: so
-it is asked only in steps in which something comes within `REACH_M` of touching, and only the poses and velocities of bodies
-with contact points are read back. Its bodies catch up before such a step (a test flies both ways and compares).
+A step writes each drone's mean velocity, which `sim.physics.fleet` has worked out from thrust, gravity and drag; PyBullet
+moves the bodies and finds and resolves contacts. A body that nothing is near to ends where that velocity takes it, which is
+known without asking. PyBullet has no calls for many bodies at once, and each call costs as much as a drone's whole
+controller: so it is asked only in steps in which something comes within `REACH_M` of touching, and only the poses and
+velocities of bodies with contact points are read back. Its bodies catch up before such a step (a test flies both ways and
+compares).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flockopt.errors import MissingExtra, SettingsError, SolverFailed
+from flockopt.errors import SettingsError, SolverFailed, require
 from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Box, Cylinder, Obstacle, Point, Scene
@@ -55,11 +56,8 @@ def load_pybullet() -> ModuleType:
     """
     if "pybullet" in sys.modules:
         return sys.modules["pybullet"]
-    try:
-        with _silence():
-            import pybullet
-    except ImportError:
-        raise MissingExtra("pybullet", "sim") from None
+    with _silence():
+        pybullet: ModuleType = require("pybullet", extra="sim")
     return pybullet
 
 
@@ -107,8 +105,7 @@ class World:
         self, scene: Scene, vehicles: list[Vehicle], step_s: float, *, shape: str = "ball", gui: bool = False,
         every_step: bool = False,
     ) -> None:  # fmt: skip
-        if shape not in SHAPES:
-            raise SettingsError("shape", f"is {shape!r}", f"must be one of {', '.join(SHAPES)}", "choose one")
+        checks.choice(SettingsError, "shape", shape, known=SHAPES)
         self._every_step = every_step or gui
         self.step_s = checks.number(SettingsError, "step_s", step_s, above=0.0)
         self._scene, self._bullet = scene, load_pybullet()
@@ -149,8 +146,8 @@ class World:
         """Let the drones move for one step.
 
         Args:
-            states: (N, 17) as in `sim.physics.fleet`, where the drones will be if nothing is in their way; poses and velocities of
-                those that touch something are brought up to date.
+            states: (N, 17) as in `sim.physics.fleet`, where the drones will be if nothing is in their way; poses and
+                velocities of those that touch something are brought up to date.
             drive: (N, 3) velocities to move with, m/s.
             spin: (N, 3) rad/s in the world frame, to turn with.
             time: At the end of the step, s.

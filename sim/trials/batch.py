@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from flockopt.batches.backends import open_backend, outcomes
+from flockopt.batches.backends import run_round
 from sim.trials.journal import Journal
 from sim.trials.trial import TIMINGS, Result, Trial, run_trial
 
@@ -80,14 +80,13 @@ def _round(
     # One job would fly in this process, which is not to die with it.
     workers = max(jobs, 2) if alone else jobs
     ahead = 1 if alone else 2 * workers
-    with open_backend(backend, workers) as place:
-        try:
-            for result in outcomes(place, work, trials, ahead, begun=lambda trial: under_way.append(trial.key)):
-                under_way.remove(result.key)
-                take(result)
-        except place.deaths:
-            return under_way
-    return []
+
+    def landed(result: Result) -> None:
+        under_way.remove(result.key)
+        take(result)
+
+    is_done = run_round(backend, workers, work, trials, landed, ahead=ahead, begun=lambda trial: under_way.append(trial.key))
+    return [] if is_done else under_way
 
 
 def _given_up(trial: Trial) -> Result:

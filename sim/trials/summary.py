@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from flockopt.errors import MissingExtra
+from flockopt.errors import require
+from sim.trials.status import TrialStatus
 
 __all__ = ["draw_summary", "flawless", "summary_text"]
 
@@ -65,7 +66,7 @@ def flawless(row: Mapping[str, Any]) -> bool:
 
     After events also whether every plan that was swapped in was certified; tasks not served must be listed with a reason.
     """
-    if row["status"] != "certified" or row["contacts"] != 0:
+    if row["status"] != TrialStatus.CERTIFIED or row["contacts"] != 0:
         return False
     if row.get("events"):
         return row["unexplained"] == 0 and row["swaps_certified"] == row["swaps"]
@@ -102,8 +103,9 @@ def _event_lines(rows: Rows) -> list[str]:
 
 
 def _fault(row: Mapping[str, Any]) -> str:
-    if row["status"] != "certified":
-        return f"{row['status']} {row['failed']}".strip()
+    status = TrialStatus(row["status"])
+    if status is not TrialStatus.CERTIFIED:
+        return f"{status} {row['failed']}".strip() + f"; {status.mend}"
     words = f"{row['execution_completion']:.0%} of the tasks served, {row['contacts']} contacts"
     if row.get("events"):
         uncertified = row["swaps"] - row["swaps_certified"]
@@ -117,12 +119,8 @@ def draw_summary(rows: Rows, path: Path) -> None:
     Raises:
         MissingExtra: If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtra("matplotlib", "show") from None
+    figure = require("matplotlib.figure", extra="show").Figure(figsize=(12, 8), layout="constrained")
     chosen = [measure for measure in MEASURES if measure[1] not in ("episode_steps", "makespan", "energy")]
-    figure = Figure(figsize=(12, 8), layout="constrained")
     for axes, (words, column, factor, _) in zip(figure.subplots(3, 4).flat, chosen, strict=True):
         values = [factor * row[column] for row in rows if row[column] is not None]
         axes.hist(values, bins=min(20, max(4, len(values) // 4)), color="#4878a8", edgecolor="white")

@@ -12,16 +12,20 @@ from flockopt.certificate import Plan
 from flockopt.certificate.judge import certify
 from flockopt.errors import FlockError
 from flockopt.planning.pipeline import plan
-from flockopt.planning.planners import ANY_ANGLE
+from flockopt.planning.planners import ANY_ANGLE, Planner, find_planner
 from flockopt.planning.replan import FREEZE_S
+from flockopt.planning.settings import PlanSettings
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.scene.families.generate import generate
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
-from sim.mission.events import DroneLate, DroneLost, Event, EventSettings, Gust, TaskAdded, TaskRemoved, schedule
+from sim.mission.events import DroneLate, DroneLost, Event, EventSettings, TaskAdded, TaskRemoved, schedule
 from sim.mission.execution import Execution
 from sim.mission.mission import Mission, MissionOutcome
+from sim.mission.wind import Gust
 from sim.physics.settings import FlightSettings
+from sim.trials.status import TrialStatus
 
 __all__ = ["COLUMNS", "TIMINGS", "TRACKING_MARGIN_M", "Result", "Trial", "run_trial"]
 
@@ -61,7 +65,7 @@ class Trial:
         drones: How many.
         tasks: How many.
         seed: For the scene and the planner.
-        planner: Who plans.
+        planner: Who plans: a name, or the planner itself.
         time_limit_s: For the planner, seconds; None lets it stop by itself, the same way on every machine.
         settings: How to fly.
         force: Whether plans are flown that are not certified.
@@ -74,7 +78,7 @@ class Trial:
     drones: int
     tasks: int
     seed: int
-    planner: str = "classical"
+    planner: Planner | str = "classical"
     time_limit_s: float | None = None
     settings: FlightSettings = field(default_factory=FlightSettings)
     force: bool = False
@@ -87,6 +91,18 @@ class Trial:
         """Its name, one of a kind in its batch: that of its scene."""
         return f"{self.family}-{self.drones}x{self.tasks}-{self.seed}"
 
+    @property
+    def planning(self) -> PlanSettings:
+        """How its plan is made.
+
+        Raises:
+            SettingsError: On a value that is out of range.
+        """
+        return PlanSettings(
+            planner=self.planner, time_limit_s=self.time_limit_s, seed=self.seed, tracking_margin_m=self.tracking_margin_m,
+            paths=self.paths,
+        )  # fmt: skip
+
     def scene(self) -> Scene:
         """The scene itself.
 
@@ -97,10 +113,7 @@ class Trial:
 
     def plan(self, scene: Scene) -> Plan:
         """The plan to be flown in it."""
-        return plan(
-            scene, planner=self.planner, time_limit_s=self.time_limit_s, seed=self.seed,
-            tracking_margin_m=self.tracking_margin_m, paths=self.paths,
-        )  # fmt: skip
+        return plan(scene, self.planning)
 
     def happenings(self, scene: Scene, made: Plan) -> tuple[Event, ...]:
         """What happens to the plan in flight."""
@@ -120,8 +133,15 @@ class Trial:
 
     def blank_row(self) -> dict[str, Value]:
         """A row of `COLUMNS` for a flight that was not made."""
-        known = {"scene": self.key, "planner": self.planner, "family": self.family, "seed": self.seed, "drones": self.drones}
-        nothing = {"status": "error", "planner_coverage": 0.0, "execution_completion": 0.0, "tasks": self.tasks, "failed": ""}
+        planner = find_planner(self.planner).name
+        known = {"scene": self.key, "planner": planner, "family": self.family, "seed": self.seed, "drones": self.drones}
+        nothing = {
+            "status": TrialStatus.ERROR,
+            "planner_coverage": 0.0,
+            "execution_completion": 0.0,
+            "tasks": self.tasks,
+            "failed": "",
+        }
         return dict.fromkeys(COLUMNS) | known | nothing
 
 
@@ -144,7 +164,7 @@ def run_trial(trial: Trial) -> Result:
         travel = compute_travel(scene)
         row |= _plan_columns(scene, made, travel)
         timing |= {f"{stage}_s": made.timing.get(stage) for stage in STAGES} | {"plan_s": made.timing["total"]}
-        if made.status == "certified" or (trial.force and made.flights):
+        if row["status"] == TrialStatus.CERTIFIED or (trial.force and made.flights):
             events = trial.happenings(scene, made)
             begun = perf_counter()
             mission = trial.fly(scene, made, events, travel=travel)
@@ -153,7 +173,7 @@ def run_trial(trial: Trial) -> Result:
             timing |= {"flight_s": flown - begun, "measure_s": perf_counter() - flown} | _event_timings(mission)
             timing["real_time_factor"] = mission.flight.real_time_factor
     except FlockError as fault:
-        row |= {"status": "error", "failed": f"{type(fault).__name__}: {fault}"}
+        row |= {"status": TrialStatus.ERROR, "failed": f"{type(fault).__name__}: {fault}"}
     return Result(trial.key, row, timing)
 
 
@@ -161,14 +181,15 @@ def _plan_columns(scene: Scene, made: Plan, travel: Travel) -> dict[str, Value]:
     number = {task.id: index for index, task in enumerate(scene.tasks)}
     routes = [[number[task] for task in made.routes.get(drone.id, ())] for drone in scene.drones]
     planned = sum(len(route) for route in routes)
+    status = TrialStatus(made.status)
     clauses = () if made.certificate is None else made.certificate.clauses
     columns: dict[str, Value] = {
         "sha256": scene.sha256[:DIGEST_DIGITS],
-        "status": made.status,
+        "status": status,
         "planner_coverage": planned / scene.num_tasks if scene.num_tasks else 1.0,
         "failed": " ".join(clause.name for clause in clauses if not clause.holds) or made.reason,
     }
-    if made.status == "infeasible":
+    if status is TrialStatus.INFEASIBLE:
         return columns
     return columns | {
         "cost": made.cost.travel,
@@ -185,14 +206,14 @@ def _plan_columns(scene: Scene, made: Plan, travel: Travel) -> dict[str, Value]:
 
 
 def _flight_columns(flight: Execution) -> dict[str, Value]:
-    outcome = flight.outcome
+    measures = flight.measures
     return {
-        "execution_completion": outcome.completion,
+        "execution_completion": measures.completion,
         "contacts": len(flight.touches),
-        "min_clearance": outcome.min_clearance,
-        "min_separation": outcome.min_separation,
-        "mean_tracking_error": outcome.mean_tracking_error,
-        "max_tracking_error": outcome.max_tracking_error,
+        "min_clearance": measures.min_clearance,
+        "min_separation": measures.min_separation,
+        "mean_tracking_error": measures.mean_tracking_error,
+        "max_tracking_error": measures.max_tracking_error,
         "energy": float(flight.energy.sum()),
     }
 
@@ -207,7 +228,7 @@ def _event_columns(events: Sequence[Event], mission: MissionOutcome) -> dict[str
         "replans": len(mission.answers),
         "swaps": len(mission.swapped),
         "swaps_certified": sum(certify(answer.scene, answer.plan).certified for answer in mission.swapped),
-        "refused": sum(answer.plan.status != "certified" for answer in mission.answers),
+        "refused": sum(answer.plan.status != Status.CERTIFIED for answer in mission.answers),
         "unserved": len(mission.unserved),
         "unexplained": len(mission.unexplained),
         "reasons": "; ".join(f"{task}: {reason}" for task, reason in mission.unserved.items()),

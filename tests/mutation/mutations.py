@@ -18,7 +18,7 @@ from flockopt.certificate import Plan
 from flockopt.flights import Curve, Flight, Visit
 from flockopt.geometry.bernstein import control_points, largest_norm
 from flockopt.geometry.continuous import least_clearance
-from flockopt.geometry.distances import bounding_boxes, surface_normals
+from flockopt.geometry.distances import surface_normals
 from flockopt.scene import Scene
 
 __all__ = ["MUTATIONS", "mutate"]
@@ -229,9 +229,8 @@ def dip(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
     drone = _pick(rng, plan.flights)
     if drone is None or not scene.obstacles:
         return None
-    curve, table = plan.flights[drone].curve, scene.obstacle_table
-    needs = np.full(len(table), scene.drones[_index(scene, drone)].radius + scene.clearance)
-    _, time, _ = least_clearance(table, bounding_boxes(table), needs, curve.breakpoints, curve.coefficients, 1e-6)
+    curve, space = plan.flights[drone].curve, scene.free_space(scene.drones[_index(scene, drone)].radius + scene.clearance)
+    _, time, _ = least_clearance(space, curve.breakpoints, curve.coefficients, 1e-6)
     if rng.integers(2):
         time = _moment(curve, rng)
     if time is None or curve.duration < 2 * WINDOW_S:
@@ -241,9 +240,9 @@ def dip(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
     times = np.linspace(curve.start_time, curve.end_time, 3)
     times = np.concatenate([dented.breakpoints, (dented.breakpoints[1:] + dented.breakpoints[:-1]) / 2, times])
     deepest = float(times[np.argmax(np.linalg.norm(dented(times) - curve(times), axis=1))])
-    gaps = _distances(scene, curve(deepest)) - needs
+    gaps = _distances(scene, curve(deepest)) - space.needs
     nearest = int(gaps.argmin())
-    inward = -surface_normals(table[nearest : nearest + 1], curve(deepest))[0, 0]
+    inward = -surface_normals(space.table[nearest : nearest + 1], curve(deepest))[0, 0]
     return _dented(plan, drone, time, (gaps[nearest] + 2e-3) * inward), "clearance"
 
 

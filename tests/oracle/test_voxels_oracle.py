@@ -10,10 +10,10 @@ from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 from flockopt import compute_travel, generate
 from flockopt.flights.waypoints import leg_clear
 from flockopt.geometry.distances import distances
+from flockopt.geometry.free_space import free_space
 from flockopt.geometry.kernels import segment_distances
 from flockopt.scene import Box, Cylinder, Sphere
 from flockopt.scene.families.layouts import FAMILIES
-from flockopt.travel.blocking import make_space
 from learned.paths.voxel_search import astar, center_of, dijkstra, make_grid, moves_of
 from learned.paths.voxels import VoxelSettings, voxel_oracle
 from tests.flights import drone, make_scene
@@ -28,7 +28,7 @@ NEED = 0.22
 
 def small_space():
     scene = make_scene([drone(0, (9, 9, 3))], [], OBSTACLES)
-    return make_space(scene.obstacle_table, np.full(3, NEED), np.zeros(3), np.array([4.3, 4.0, 2.1]))
+    return free_space(scene.obstacle_table, NEED, (np.zeros(3), np.array([4.3, 4.0, 2.1])))
 
 
 def brute_force_matrix(space, grid):

@@ -16,12 +16,13 @@ import numpy as np
 from flockopt.bundles import Bound
 from flockopt.bundles.bounds import forest
 from flockopt.bundles.bounds.pricing import ascend_prices, evaluate, group_drones, travel_ceiling
+from flockopt.bundles.bundles import BOUND_EFFORTS
 from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["BOUNDS", "held_karp_bound", "lower_bound", "ng_route_bound", "rooted_forest_bound"]
+__all__ = ["held_karp_bound", "lower_bound", "ng_route_bound", "rooted_forest_bound"]
 
 #: Spanning trees grown for the Held-Karp bound: within 0.03 % of its limit from 10 x 20 to 100 x 1000.
 HELD_KARP_ROUNDS = 60
@@ -42,11 +43,11 @@ def lower_bound(scene: Scene, travel: Travel, *, bound: str = "tight", upper: fl
     Raises:
         SettingsError: If ``bound`` is unknown or ``upper`` is negative or not a number.
     """
-    if bound not in BOUNDS:
-        raise SettingsError("bound", f"is {bound!r}", f"must be one of {', '.join(BOUNDS)}", "choose one")
+    if bound not in BOUND_EFFORTS:
+        raise SettingsError("bound", f"is {bound!r}", f"must be one of {', '.join(BOUND_EFFORTS)}", "choose one")
     if upper is not None and not upper >= 0.0:
         raise SettingsError("upper", f"is {upper!r}", "must be metres >= 0 or None", "give the travel of a known allocation")
-    return BOUNDS[bound](scene, travel, math.inf if upper is None else upper)
+    return _BOUNDS[bound](scene, travel, math.inf if upper is None else upper)
 
 
 def rooted_forest_bound(scene: Scene, travel: Travel, upper: float = math.inf) -> Bound:
@@ -90,4 +91,4 @@ def _forest_costs(scene: Scene, travel: Travel) -> tuple[FloatArray, FloatArray]
     return starts, np.ascontiguousarray(between)
 
 
-BOUNDS = {"fast": rooted_forest_bound, "tight": held_karp_bound, "exact": ng_route_bound}
+_BOUNDS = dict(zip(BOUND_EFFORTS, (rooted_forest_bound, held_karp_bound, ng_route_bound), strict=True))

@@ -30,6 +30,7 @@ from flockopt.bundles.search.anneal import default_iterations, search
 from flockopt.bundles.search.construct import build_problem
 from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
@@ -72,7 +73,7 @@ class ExactResult:
     bundles: Bundles
     bound: Bound
     proven: float
-    status: str
+    status: Status
 
 
 def solve_exact(
@@ -96,9 +97,9 @@ def solve_exact(
         raise SettingsError("time_limit_s", f"is {time_limit_s!r}", "must be seconds >= 0 or None", "raise it")
     deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s
     best = _first_allocation(scene, travel, warm_start, time_limit_s, seed)
-    upper = math.inf if best.status == "infeasible" else travel.total(best.routes)
+    upper = math.inf if best.status == Status.INFEASIBLE else travel.total(best.routes)
     if not scene.num_tasks:
-        best = replace(best, status="optimal" if upper < math.inf else best.status)
+        best = replace(best, status=Status.OPTIMAL if upper < math.inf else best.status)
         return ExactResult(best, Bound("ng-route", 0.0, np.empty(0)), upper, best.status)
     ceiling = min(upper, travel_ceiling(travel))
     groups, prices = group_drones(scene, travel), first_prices(scene, travel, ceiling)
@@ -164,7 +165,7 @@ class _Lists:
                 break
             searched, gap = gap if bound >= upper * (1.0 - OPTIMAL_GAP) else 0.0, wider
         if upper < math.inf and _closed(upper, proven):
-            return replace(best, status="optimal"), upper
+            return replace(best, status=Status.OPTIMAL), upper
         return best, proven if widest >= 0.0 else math.inf
 
     def _choose(

@@ -11,7 +11,7 @@ from flockopt.bundles import Bundles
 from flockopt.flights import Flight
 from flockopt.flights.decode import fly
 from flockopt.flights.waypoints import Waypoints, waypoints_from_paths
-from flockopt.geometry.distances import SPHERE, bounding_boxes, distances
+from flockopt.geometry.distances import SPHERE, distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -137,7 +137,7 @@ class Detours:
     def _roadmap(self, drone: int, balls: FloatArray) -> Roadmap:
         table = np.vstack([self.scene.obstacle_table, balls])
         need = self.scene.drones[drone].radius + self.scene.clearance
-        return Roadmap(table, np.full(len(table), need + 1e-6), (self.scene.bounds.lower, self.scene.bounds.upper))
+        return Roadmap(table, need + 1e-6, (self.scene.bounds.lower, self.scene.bounds.upper))
 
     def _may_move_on(self, drone: int) -> bool:
         """Whether a drone may leave the place where it would park: it has no end and is not grounded."""
@@ -160,13 +160,12 @@ class Detours:
         return candidates[int(free.argmax())] if free.any() else None
 
     def _straight_ways(self, drone: int, parking: FloatArray, candidates: FloatArray) -> FloatArray:
-        from flockopt.geometry.kernels import segment_clear
+        from flockopt.geometry.free_space import segment_clear
 
-        table = self.scene.obstacle_table
         need = self.scene.drones[drone].radius + self.scene.clearance
-        slack = distances(table, parking).min(initial=np.inf) - need
-        needs = np.full(len(table), need + max(min(DETOUR_RESERVE_M, 0.5 * slack), 0.0))
-        return np.array([segment_clear(table, bounding_boxes(table), needs, parking, spot) for spot in candidates])
+        slack = distances(self.scene.obstacle_table, parking).min(initial=np.inf) - need
+        space = self.scene.free_space(need + max(min(DETOUR_RESERVE_M, 0.5 * slack), 0.0))
+        return np.array([segment_clear(space, parking, spot) for spot in candidates])
 
 
 def _position(curve: tuple[FloatArray, FloatArray], time: float) -> FloatArray:

@@ -69,8 +69,8 @@ class Trial:
         breakpoints, coefficients, times, owners = law(
             waypoints.points, waypoints.rest_s, caps, limits, room.velocity, room.acceleration, unwanted
         )
-        blocked = curve_clear(room.table, room.boxes, room.needs, breakpoints, coefficients)
-        outside = first_outside(room.lower, room.upper, breakpoints, coefficients)
+        blocked = curve_clear(room.space, breakpoints, coefficients)
+        outside = first_outside(room.space, breakpoints, coefficients)
         faults = [int(owners[piece]) for piece in (blocked, outside) if piece >= 0]
         return cls(waypoints, room, law, caps, breakpoints, coefficients, times, min(faults, default=-1))
 
@@ -127,9 +127,8 @@ def entering(waypoints: Waypoints, room: Room, law: PolylineLaw) -> Trial:
 
 def widened(trial: Trial) -> Trial:
     """The trial with close corners merged as long as that saves time, or pieces of which there are too many."""
-    room = trial.room
     while True:
-        ways = merged_corners(trial.waypoints, room.table, room.boxes, room.needs, room.lower, room.upper)
+        ways = merged_corners(trial.waypoints, trial.room.space)
         best = min((trial.again(way) for way in ways), key=lambda other: other.seconds, default=None)
         if best is None or (best.seconds >= trial.seconds and len(trial.coefficients) <= MOST_PIECES):
             return trial

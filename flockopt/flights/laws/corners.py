@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from flockopt.flights.waypoints import FLY_THROUGH, Waypoints
-from flockopt.geometry.kernels import segment_clear
+from flockopt.geometry.free_space import FreeSpace, inside, segment_clear
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["merged_corners"]
@@ -35,19 +35,8 @@ def _mitre(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatA
     return 0.5 * (b + along_u * u + c + along_v * v)
 
 
-def merged_corners(
-    waypoints: Waypoints, table: FloatArray, boxes: FloatArray, needs: FloatArray, lower: FloatArray, upper: FloatArray
-) -> Iterator[Waypoints]:
-    """The same way with two neighbouring corners merged into one, for every pair where that is clear.
-
-    Args:
-        waypoints: The way.
-        table: (K, 9) obstacles.
-        boxes: (K, 2, 3) m, their bounding boxes.
-        needs: (K,) m, the distance to keep from each.
-        lower: (3,) m, of the bounds.
-        upper: (3,) m.
-    """
+def merged_corners(waypoints: Waypoints, space: FreeSpace) -> Iterator[Waypoints]:
+    """The same way with two neighbouring corners merged into one, for every pair where that is clear."""
     points = waypoints.points
     for k in range(1, len(points) - 2):
         if any(waypoints.tasks[i] or waypoints.rest_s[i] != FLY_THROUGH for i in (k, k + 1)):
@@ -56,8 +45,7 @@ def merged_corners(
         corner = _mitre(a, b, c, d)
         if not (np.maximum(np.abs(corner - b), np.abs(corner - c)).max() <= FARTHEST_MITRE * np.linalg.norm(c - b)):
             continue
-        inside = (corner >= lower).all() and (corner <= upper).all()
-        if inside and segment_clear(table, boxes, needs, a, corner) and segment_clear(table, boxes, needs, corner, d):
+        if inside(space, corner) and segment_clear(space, a, corner) and segment_clear(space, corner, d):
             yield Waypoints(
                 np.vstack([points[:k], corner, points[k + 2 :]]),
                 np.delete(waypoints.rest_s, k),

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
 
 from flockopt.flights.room import Room
-from flockopt.flights.waypoints import CHORD_TOLERANCE, Waypoints, anchored_legs, leg_clear, thinned, waypoints_from_paths
-from flockopt.geometry.kernels import point_distance, point_gradient, polyline_clear
+from flockopt.flights.waypoints import CHORD_TOLERANCE, Waypoints, anchored_legs, waypoints_from_paths
+from flockopt.geometry.free_space import FreeSpace, polyline_free
+from flockopt.geometry.kernels import point_distance, point_gradient
+from flockopt.geometry.polylines import thinned
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
-from flockopt.travel import END, START, Travel
+from flockopt.travel import Travel
+from flockopt.travel.travel import stops_of
 
 __all__ = ["corrected", "corrected_samples", "densified"]
 
@@ -27,47 +31,45 @@ HALVINGS = 2
 
 
 @njit(cache=True)
-def _worst(point: FloatArray, table: FloatArray, boxes: FloatArray, needs: FloatArray, inflation: float) -> tuple[float, int]:
+def _worst(point: FloatArray, space: FreeSpace, inflation: float) -> tuple[float, int]:
     """How deep a point is within the deepest inflated obstacle, metres, and which that is; (0, -1) if in none."""
     depth, deepest = 0.0, -1
-    for k in range(table.shape[0]):
-        reach = needs[k] + inflation
+    for k in range(space.table.shape[0]):
+        reach = space.needs[k] + inflation
         outside = False
         for axis in range(3):
-            if point[axis] <= boxes[k, 0, axis] - reach or point[axis] >= boxes[k, 1, axis] + reach:
+            if point[axis] <= space.boxes[k, 0, axis] - reach or point[axis] >= space.boxes[k, 1, axis] + reach:
                 outside = True
         if not outside:
-            inside = reach - point_distance(table[k], point[0], point[1], point[2])
+            inside = reach - point_distance(space.table[k], point[0], point[1], point[2])
             if inside > depth:
                 depth, deepest = inside, k
     return depth, deepest
 
 
 @njit(cache=True)
-def _push_out(
-    points: FloatArray, table: FloatArray, boxes: FloatArray, needs: FloatArray, lower: FloatArray, upper: FloatArray,
-    inflation: float,
-) -> FloatArray:  # fmt: skip
+def _push_out(points: FloatArray, space: FreeSpace, inflation: float) -> FloatArray:
     """The points (P, 3), all but the first and last moved along the distance's gradient out of what they are in."""
     result = points.copy()
     for i in range(1, points.shape[0] - 1):
         point = result[i]
-        before = _worst(point, table, boxes, needs, 0.0)[0]
+        before = _worst(point, space, 0.0)[0]
         for _ in range(MOST_MOVES):
-            depth, k = _worst(point, table, boxes, needs, inflation)
+            depth, k = _worst(point, space, inflation)
             if k < 0:
                 break
-            gradient = point_gradient(table[k], point[0], point[1], point[2])
+            gradient = point_gradient(space.table[k], point[0], point[1], point[2])
             for axis in range(3):
-                point[axis] = min(max(point[axis] + (depth + 1e-9) * gradient[axis], lower[axis]), upper[axis])
-        if _worst(point, table, boxes, needs, 0.0)[0] > before:
+                moved = point[axis] + (depth + 1e-9) * gradient[axis]
+                point[axis] = min(max(moved, space.lower[axis]), space.upper[axis])
+        if _worst(point, space, 0.0)[0] > before:
             point[:] = points[i]
     return result
 
 
 def corrected(control: FloatArray, room: Room, radius: float) -> FloatArray:
     """Control points (K, 3) with the inner ones moved out of inflated obstacles, as far as there is room."""
-    return _push_out(control, room.table, room.boxes, room.needs, room.lower, room.upper, INFLATION * radius)
+    return _push_out(control, room.space, INFLATION * radius)
 
 
 def densified(control: FloatArray) -> FloatArray:
@@ -79,23 +81,17 @@ def densified(control: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def _corrected_leg(
-    leg: FloatArray, table: FloatArray, boxes: FloatArray, needs: FloatArray, lower: FloatArray, upper: FloatArray,
-    inflation: float,
-) -> tuple[FloatArray, bool]:  # fmt: skip
+def _corrected_leg(leg: FloatArray, space: FreeSpace, inflation: float) -> tuple[FloatArray, bool]:
     """A leg's samples moved out of inflated obstacles, closer ones if that is not enough; and whether it is clear."""
-    moved = _push_out(leg, table, boxes, needs, lower, upper, inflation)
-    clear = polyline_clear(table, boxes, needs, moved)
+    moved = _push_out(leg, space, inflation)
+    clear = polyline_free(space, moved)
     for _ in range(HALVINGS):
         if not clear:
             closer = np.empty((2 * len(moved) - 1, 3))
             closer[::2] = moved
             closer[1::2] = (moved[:-1] + moved[1:]) / 2
-            moved = _push_out(closer, table, boxes, needs, lower, upper, inflation)
-            clear = polyline_clear(table, boxes, needs, moved)
-    for point in moved:
-        for axis in range(3):
-            clear = clear and lower[axis] <= point[axis] <= upper[axis]
+            moved = _push_out(closer, space, inflation)
+            clear = polyline_free(space, moved)
     return moved, clear
 
 
@@ -111,16 +107,15 @@ def corrected_samples(scene: Scene, travel: Travel, drone: int, route: Sequence[
     if (anchors == anchors[0]).all():
         return waypoints_from_paths(scene, travel, drone, route)
     record = scene.drones[drone]
-    needs = np.full(len(scene.obstacles), record.radius + scene.clearance)
-    detours = [START, *route] + ([END] if record.end_point is not None else [])
-    space = scene.obstacle_table, scene.obstacle_boxes, needs, np.array(scene.bounds.lower), np.array(scene.bounds.upper)
+    stops = stops_of(scene, drone, route)
+    space = scene.free_space(record.radius + scene.clearance)
     legs = []
-    for leg, *stops in zip(raw, detours[:-1], detours[1:], strict=True):
-        moved, clear = _corrected_leg(leg, *space, INFLATION * record.radius)
+    for leg, (origin, target) in zip(raw, pairwise(stops), strict=True):
+        moved, clear = _corrected_leg(leg, space, INFLATION * record.radius)
         if clear:
             few = thinned(moved, CHORD_TOLERANCE * record.radius)
-            legs.append(few if leg_clear(scene, drone, few) else moved)
-        elif len(detour := travel.path(drone, *stops)):
+            legs.append(few if polyline_free(space, few) else moved)
+        elif len(detour := travel.path(drone, origin, target)):
             legs.append(detour)
         else:
             return waypoints_from_paths(scene, travel, drone, route)  # which says that there is no way

@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from flockopt.geometry.bernstein import control_points, least_margin
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["first_outside", "fly_polyline"]
@@ -291,10 +292,10 @@ def fly_polyline(
 
 
 @njit(cache=True)
-def first_outside(lower: FloatArray, upper: FloatArray, breakpoints: FloatArray, coefficients: FloatArray) -> int:
-    """Index of the first piece that leaves the box from ``lower`` to ``upper``, or -1."""
+def first_outside(space: FreeSpace, breakpoints: FloatArray, coefficients: FloatArray) -> int:
+    """Index of the first piece that leaves the bounds, or -1."""
     control = control_points(breakpoints, coefficients, coefficients.shape[2])
     for k in range(control.shape[0]):
-        if least_margin(breakpoints[k : k + 2], control[k : k + 1], lower, upper)[0] < -GRAZING_M:
+        if least_margin(breakpoints[k : k + 2], control[k : k + 1], space.lower, space.upper)[0] < -GRAZING_M:
             return k
     return -1

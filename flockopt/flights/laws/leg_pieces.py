@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from flockopt.flights.laws.fly_through import first_outside
 from flockopt.geometry.bernstein import SMALL_SQUARE, control_points, derivative, largest_value, squared_norm
 from flockopt.geometry.continuous import curve_clear
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["assembled", "faulty_legs", "leg_seconds"]
@@ -67,17 +68,13 @@ def assembled(
 
 
 @njit(cache=True)
-def faulty_legs(
-    pieces: FloatArray, first: NDArray[np.int64], table: FloatArray, boxes: FloatArray, needs: FloatArray,
-    lower: FloatArray, upper: FloatArray,
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Which legs (L,) come too near to an obstacle or leave the bounds; their needs are (L, K) m."""
+def faulty_legs(pieces: FloatArray, first: NDArray[np.int64], space: FreeSpace) -> NDArray[np.bool_]:
+    """Which of one drone's legs (L,) come too near to an obstacle or leave the bounds."""
     result = np.zeros(len(first) - 1, dtype=np.bool_)
     for leg in range(len(result)):
         part = pieces[first[leg] : first[leg + 1]]
         breakpoints = np.arange(len(part) + 1) * 1.0
-        outside = first_outside(lower, upper, breakpoints, part) >= 0
-        result[leg] = outside or curve_clear(table, boxes, needs[leg], breakpoints, part) >= 0
+        result[leg] = first_outside(space, breakpoints, part) >= 0 or curve_clear(space, breakpoints, part) >= 0
     return result
 
 

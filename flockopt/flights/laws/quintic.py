@@ -202,15 +202,13 @@ def _shape(routes: Sequence[_Route]) -> None:
         fitted = np.tensordot(samples, fit_operator(count), axes=(1, 1))  # (L, 3, P * 8)
         places = first[legs][:, None] + np.arange(count)
         pieces[places] = fitted.reshape(len(legs), 3, count, FIT_TERMS).transpose(0, 2, 1, 3)
-    room = routes[0].room
     per_leg = [len(route.legs) for route in routes]
-    needs = np.repeat([route.room.needs for route in routes], per_leg, axis=0)
     limits = np.repeat([route.room.limits for route in routes], per_leg, axis=0)
-    faulty = faulty_legs(pieces, first, room.table, room.boxes, needs, room.lower, room.upper)
     seconds = leg_seconds(pieces, first, limits)
     leg = 0
     for route in routes:
         end = leg + len(route.legs)
         route.pieces, route.counts = pieces[first[leg] : first[end]], counts[leg:end]
-        route.seconds, route.faulty = seconds[leg:end], faulty[leg:end]
+        route.seconds = seconds[leg:end]
+        route.faulty = faulty_legs(pieces, first[leg : end + 1], route.room.space)
         leg = end

@@ -182,7 +182,7 @@ def fly_polyline(
     acceleration: FloatArray,
     unwanted: int = 0,
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
-    """A C2 flight through every point of a polyline: arguments and result as of `flockopt.flights.laws.fly_through.fly_polyline`.
+    """A C2 flight through every point of a polyline, as of `flockopt.flights.laws.fly_through.fly_polyline`.
 
     ``caps`` bound the speed around corners only: a corner's by the higher one of its two legs. A flight that starts
     in motion is flown by `flockopt.flights.laws.fly_through`. Where there are more than `MOST_PIECES` pieces, or by

@@ -105,8 +105,7 @@ def is_acceptable(scene: Scene, drone: Drone, given: Stage, found: Stage, weight
 
 def is_clear(scene: Scene, drone: Drone, stage: Stage) -> bool:
     """Whether a stage stays within bounds and clear of every obstacle, in continuous time."""
-    bounds = np.array(scene.bounds.lower), np.array(scene.bounds.upper)
-    if least_margin(stage.breakpoints, stage.control, *bounds)[0] < -GRAZING_M:
+    space = scene.free_space(drone.radius + scene.clearance)
+    if least_margin(stage.breakpoints, stage.control, space.lower, space.upper)[0] < -GRAZING_M:
         return False
-    needs = np.full(len(scene.obstacle_table), drone.radius + scene.clearance)
-    return curve_clear(scene.obstacle_table, scene.obstacle_boxes, needs, stage.breakpoints, stage.coefficients) < 0
+    return curve_clear(space, stage.breakpoints, stage.coefficients) < 0

@@ -151,11 +151,10 @@ def _solve(
 
 def _half_spaces(scene: Scene, drone: Drone, guess: Stage, num_rows: int, reach_m: float) -> tuple[FloatArray, FloatArray]:
     """What keeps the stage clear and within bounds: see `tangent_rows`."""
-    table, need = scene.obstacle_table, drone.radius + scene.clearance
-    gaps = distances(table, guess.control.transpose(0, 2, 1).reshape(-1, 3)).min(axis=0) - need
-    needs = need + np.clip(0.5 * gaps, 0.0, ROOM_RESERVE_M)
-    bounds = np.array(scene.bounds.lower), np.array(scene.bounds.upper)
-    return tangent_rows(guess.control, table, scene.obstacle_boxes, needs, *bounds, num_rows, reach_m)
+    need = drone.radius + scene.clearance
+    gaps = distances(scene.obstacle_table, guess.control.transpose(0, 2, 1).reshape(-1, 3)).min(axis=0) - need
+    space = scene.free_space(need + np.clip(0.5 * gaps, 0.0, ROOM_RESERVE_M))
+    return tangent_rows(guess.control, space, num_rows, reach_m)
 
 
 def _fewest(rows: FloatArray, offsets: FloatArray) -> tuple[FloatArray, FloatArray]:

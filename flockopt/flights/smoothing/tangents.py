@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from flockopt.geometry.bernstein import halve
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.geometry.intervals import box_gap, fit_box
 from flockopt.geometry.kernels import point_distance, point_gradient
 from flockopt.records.arrays import FloatArray
@@ -74,7 +75,7 @@ def _tangent(row: FloatArray, control: FloatArray, normal: FloatArray) -> float:
 
 @njit(cache=True)
 def _bound_rows(
-    control: FloatArray, lower: FloatArray, upper: FloatArray, weights: FloatArray,
+    control: FloatArray, space: FreeSpace, weights: FloatArray,
     margins: FloatArray, rows: FloatArray, offsets: FloatArray,
 ) -> None:  # fmt: skip
     """Keep the inequalities for one piece within the bounds."""
@@ -82,7 +83,7 @@ def _bound_rows(
     for axis in range(3):
         for side in (-1.0, 1.0):
             normal[axis] = side
-            offset = lower[axis] if side > 0.0 else -upper[axis]
+            offset = space.lower[axis] if side > 0.0 else -space.upper[axis]
             for i in range(control.shape[1]):
                 margin = side * control[axis, i] - offset
                 _keep(margins, rows, offsets, margin, normal, weights[i], min(offset, offset + margin))
@@ -122,19 +123,12 @@ def _obstacle_rows(
 
 
 @njit(cache=True)
-def tangent_rows(
-    control: FloatArray, table: FloatArray, boxes: FloatArray, needs: FloatArray, lower: FloatArray, upper: FloatArray,
-    num_rows: int, reach: float,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+def tangent_rows(control: FloatArray, space: FreeSpace, num_rows: int, reach: float) -> tuple[FloatArray, FloatArray]:
     """Inequalities under which a curve near the given one is clear of obstacles and within bounds.
 
     Args:
         control: (K, 3, D) m, the given curve's control points.
-        table: (N, 9) obstacle rows.
-        boxes: (N, 2, 3) m, their bounding boxes.
-        needs: (N,) m, the distance to keep from each.
-        lower: (3,) m, of the bounds.
-        upper: (3,) m.
+        space: What to keep clear of, and within.
         num_rows: Inequalities a piece, R >= 1; where there are more, the tightest are kept.
         reach: Metres; what has more room than this is not looked at.
 
@@ -147,9 +141,9 @@ def tangent_rows(
     parts, box = part_weights(num_terms), np.empty((2, 3))
     for p in range(num_pieces):
         margins = np.full(num_rows, reach)
-        _bound_rows(control[p], lower, upper, parts[0], margins, rows[p], offsets[p])
+        _bound_rows(control[p], space, parts[0], margins, rows[p], offsets[p])
         fit_box(control[p], box)
-        for k in range(table.shape[0]):
-            if box_gap(box, boxes[k]) - needs[k] < reach:
-                _obstacle_rows(control[p], table[k], needs[k], parts, margins, rows[p], offsets[p])
+        for k in range(space.table.shape[0]):
+            if box_gap(box, space.boxes[k]) - space.needs[k] < reach:
+                _obstacle_rows(control[p], space.table[k], space.needs[k], parts, margins, rows[p], offsets[p])
     return rows, offsets

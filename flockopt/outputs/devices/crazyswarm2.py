@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from flockopt.certificate import Plan
 from flockopt.certificate.plan_file import LARGEST_DEGREE
-from flockopt.errors import MissingExtra, PlanError
+from flockopt.errors import PlanError, require
 from flockopt.flights import Curve
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
@@ -200,8 +200,4 @@ def yaml() -> Any:
     Raises:
         MissingExtra: If it is not installed.
     """
-    try:
-        import yaml as library
-    except ImportError:
-        raise MissingExtra("PyYAML", "trajectory") from None
-    return library
+    return require("yaml", extra="trajectory", package="PyYAML")

@@ -10,6 +10,7 @@ from flockopt.errors import PlanError, SettingsError
 from flockopt.outputs.devices import crazyswarm2, qgroundcontrol
 from flockopt.outputs.devices.directory import MANIFEST, check_directory, write_directory
 from flockopt.records import checks
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 
 __all__ = ["DEVICES", "Export", "export"]
@@ -58,7 +59,7 @@ def export(plan: Plan, *, to: str, path: str | Path, scene: Scene | None = None)
         raise PlanError("scene.sha256", seen, rule, "export with the scene that the plan was made for")
     check_directory(path)
     if not plan.flights:
-        why = f"it is infeasible: {plan.reason}" if plan.status == "infeasible" else "no drone moves"
+        why = f"it is infeasible: {plan.reason}" if plan.status == Status.INFEASIBLE else "no drone moves"
         return Export((), (f"the plan has nothing to fly: {why}",))
     if to == "crazyswarm2":
         files, misfits = crazyswarm2.convert(plan, scene)

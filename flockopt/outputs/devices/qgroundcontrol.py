@@ -22,7 +22,7 @@ from flockopt.outputs.devices.geodesy import geographic
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Origin, Point, Scene
 
-__all__ = ["convert", "mission", "way_points"]
+__all__ = ["convert", "mission"]
 
 #: MAVLink's MAV_CMD.
 WAYPOINT, LOITER, LAND, TAKEOFF, CHANGE_SPEED = 16, 17, 21, 22, 178
@@ -109,23 +109,6 @@ def mission(scene: Scene, origin: Origin, drone: Drone, flight: Flight) -> dict[
     }
 
 
-def way_points(curve_points: FloatArray, tolerance_m: float) -> FloatArray:
-    """Those of the places (T, 3) m whose polyline leaves the others by at most the tolerance (Ramer-Douglas-Peucker)."""
-    keep = np.zeros(len(curve_points), dtype=bool)
-    keep[[0, -1]] = True
-    stretches = [(0, len(curve_points) - 1)]
-    while stretches:
-        first, last = stretches.pop()
-        if last - first < 2:
-            continue
-        away = _distances_to_segment(curve_points[first + 1 : last], curve_points[first], curve_points[last])
-        farthest = first + 1 + int(away.argmax())
-        if away.max() > tolerance_m:
-            keep[farthest] = True
-            stretches += [(first, farthest), (farthest, last)]
-    return curve_points[keep]
-
-
 class _Items:
     """A mission's items as they are added."""
 
@@ -156,6 +139,8 @@ class _Items:
 
 def _legs(scene: Scene, flight: Flight) -> Iterator[tuple[FloatArray, float | None, float]]:
     """Way points (W, 3) m of each stretch between visits, its mean speed (None at rest), how long to hold at its end."""
+    from flockopt.geometry.polylines import thinned
+
     curve = flight.curve
     service = {task.id: task.service_time for task in scene.tasks}
     stops = [(visit.time, service.get(visit.task, 0.0)) for visit in flight.visits]
@@ -163,21 +148,13 @@ def _legs(scene: Scene, flight: Flight) -> Iterator[tuple[FloatArray, float | No
     begin = curve.start_time
     for time, hold_s in [*stops, (curve.end_time, 0.0)]:
         times = np.linspace(begin, max(time, begin), 2 + int(max(time - begin, 0.0) / SAMPLE_S))
-        points = way_points(curve(times), tolerance_m)
+        points = thinned(curve(times), tolerance_m)
         length = sum(float(np.linalg.norm(there - here)) for here, there in pairwise(points))
         if length > SMALLEST_MOVE_M:
             yield points, length / (time - begin), hold_s
         elif time - begin + hold_s > SHORTEST_HOLD_S:
             yield points[-2:], None, time - begin + hold_s
         begin = max(begin, time + hold_s)
-
-
-def _distances_to_segment(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    step = end - start
-    length_2 = float(step @ step)
-    share = np.clip((points - start) @ step / length_2, 0.0, 1.0) if length_2 > 0.0 else np.zeros(len(points))
-    distances: FloatArray = np.linalg.norm(points - start - share[:, None] * step, axis=1)
-    return distances
 
 
 def _point(values: FloatArray) -> Point:

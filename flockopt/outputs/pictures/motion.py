@@ -17,7 +17,7 @@ from flockopt.scene import Scene
 if TYPE_CHECKING:
     from flockopt.certificate import Plan
 
-__all__ = ["Motion", "flights_of", "sample_motion"]
+__all__ = ["SampledMotion", "flights_of", "sample_motion"]
 
 #: How many instants a drawing shows, and how many drone-obstacle and drone-drone distances it may take.
 MOST_INSTANTS, LEAST_INSTANTS, DISTANCE_BUDGET = 600, 80, 10_000_000
@@ -27,7 +27,7 @@ CHUNK_DISTANCES = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SampledMotion:
     """Where everyone is when, and how near the nearest pair and the nearest obstacle are.
 
     Attributes:
@@ -60,7 +60,7 @@ def flights_of(scene: Scene, plan: Plan | None) -> dict[int, Flight]:
     return {index: flights[drone.id] for index, drone in enumerate(scene.drones) if drone.id in flights}
 
 
-def sample_motion(scene: Scene, plan: Plan | None) -> Motion | None:
+def sample_motion(scene: Scene, plan: Plan | None) -> SampledMotion | None:
     """The motion of all drones, those that never move included; None where nobody moves."""
     flights = flights_of(scene, plan)
     if not flights:
@@ -72,7 +72,7 @@ def sample_motion(scene: Scene, plan: Plan | None) -> Motion | None:
     positions = np.repeat(scene.starts[:, None], num_instants, axis=1)  # (N, T, 3)
     for index, flight in flights.items():
         positions[index] = flight.curve(times)
-    return Motion(times, positions, _least_separation(scene, positions), _least_clearance(scene, positions))
+    return SampledMotion(times, positions, _least_separation(scene, positions), _least_clearance(scene, positions))
 
 
 def _least_separation(scene: Scene, positions: FloatArray) -> FloatArray:

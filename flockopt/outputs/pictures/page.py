@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flockopt.flights import Flight
-from flockopt.outputs.pictures.motion import Motion, flights_of, sample_motion
+from flockopt.outputs.pictures.motion import SampledMotion, flights_of, sample_motion
 from flockopt.outputs.pictures.style import INK, MUTED, drone_color, extent_z, headline, servers
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Scene
@@ -25,7 +25,7 @@ CODE = {"__VIEW__": "view.js", "__PLAYER__": "player.js"}
 
 def page(scene: Scene, plan: Plan | None = None) -> str:
     """The page's content: template, view, player and the flight's data in one text."""
-    parts = files("flockopt.show")
+    parts = files("flockopt.outputs.pictures")
     text = (parts / "page.html").read_text(encoding="utf-8")
     flight = json.dumps(_flight(scene, plan), separators=(",", ":"), allow_nan=False)
     pieces = {mark: (parts / name).read_text(encoding="utf-8") for mark, name in CODE.items()}
@@ -89,7 +89,7 @@ def _obstacle(record: dict[str, Any], scene: Scene, index: int) -> dict[str, Any
     return {**record, "bottom": bottom, "top": top}
 
 
-def _series(motion: Motion) -> dict[str, Any]:
+def _series(motion: SampledMotion) -> dict[str, Any]:
     """Least distances over time; None where there is nothing to be near to."""
 
     def shown(values: FloatArray) -> list[float] | None:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flockopt.errors import MissingExtra
-from flockopt.outputs.pictures.motion import Motion, sample_motion
+from flockopt.errors import require
+from flockopt.outputs.pictures.motion import SampledMotion, sample_motion
 from flockopt.outputs.pictures.style import DANGER, INK, MUTED, drone_color, drone_round, headline
 from flockopt.outputs.pictures.top_view import draw_top_view
 from flockopt.records.arrays import FloatArray
@@ -41,12 +41,11 @@ def picture(scene: Scene, plan: Plan | None = None) -> bytes:
     Raises:
         MissingExtra: If matplotlib is not installed.
     """
-    try:
-        import matplotlib
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtra("matplotlib", "show") from None
+    require("matplotlib", extra="show")
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     motion = sample_motion(scene, plan)
     with matplotlib.rc_context(), warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes, and that is all there is to say about it.
@@ -62,7 +61,7 @@ def picture(scene: Scene, plan: Plan | None = None) -> bytes:
     return content.getvalue()
 
 
-def _compose(figure: Figure, scene: Scene, plan: Plan | None, motion: Motion | None) -> None:
+def _compose(figure: Figure, scene: Scene, plan: Plan | None, motion: SampledMotion | None) -> None:
     map_width, map_height = _map_size(scene)
     panels = BETWEEN_IN + PANEL_WIDTH_IN if motion is not None else 0.0
     width = max(LEFT_IN + map_width + panels + RIGHT_IN, 6.4)
@@ -113,7 +112,7 @@ def _prepare(panel: Axes, motion_times: FloatArray, title: str) -> None:
     panel.tick_params(length=3, labelsize=8)
 
 
-def _draw_altitude(panel: Axes, scene: Scene, motion: Motion) -> None:
+def _draw_altitude(panel: Axes, scene: Scene, motion: SampledMotion) -> None:
     _prepare(panel, motion.times, "altitude, m")
     for index, path in enumerate(motion.positions):
         dashes: Any = "-" if drone_round(index) == 0 else "--" if drone_round(index) == 1 else ":"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from flockopt.records.status import Status
 from flockopt.scene import Box, Cylinder, Obstacle, Scene
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def headline(scene: Scene, plan: Plan | None) -> list[str]:
     contents = [f"{count} {noun}{'' if count == 1 else 's'}" for count, noun in counts]
     if plan is None:
         return contents
-    if plan.status == "infeasible":
+    if plan.status == Status.INFEASIBLE:
         return [f"infeasible: {plan.reason}" if plan.reason else plan.status, *contents]
     words = [_status(plan), f"travel {plan.cost.travel:.1f} m"]
     if plan.cost.gap is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flockopt.outputs.pictures.motion import Motion
+from flockopt.outputs.pictures.motion import SampledMotion
 from flockopt.outputs.pictures.style import INK, MUTED, drone_color, drone_round, extent_z, servers
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Box, Obstacle, Scene
@@ -30,7 +30,7 @@ LABEL_POINTS = 7.0
 LABEL_ANGLES = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 
 
-def draw_top_view(axes: Axes, scene: Scene, plan: Plan | None, motion: Motion | None, *, labelled: bool = True) -> None:
+def draw_top_view(axes: Axes, scene: Scene, plan: Plan | None, motion: SampledMotion | None, *, labelled: bool = True) -> None:
     """Draw the scene from above, north up, true to scale; with a motion, its routes too.
 
     Without labels there are no names, no key and no axis titles.
@@ -90,7 +90,7 @@ def _footprint(obstacle: Obstacle, look: dict[str, Any]) -> Patch:
     return Polygon(corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y), closed=True, zorder=1, **look)
 
 
-def _draw_routes(axes: Axes, motion: Motion) -> None:
+def _draw_routes(axes: Axes, motion: SampledMotion) -> None:
     from matplotlib.patheffects import Normal, Stroke
 
     width = float(np.interp(len(motion.positions), [10, 100], [1.7, 0.8]))
@@ -139,7 +139,7 @@ def _draw_key(axes: Axes, scene: Scene, *, has_unserved: bool) -> None:
     )  # fmt: skip
 
 
-def _draw_labels(axes: Axes, scene: Scene, motion: Motion | None, server: dict[str, int]) -> None:
+def _draw_labels(axes: Axes, scene: Scene, motion: SampledMotion | None, server: dict[str, int]) -> None:
     """Names beside starts and tasks, each where it covers least of markers, routes and other names."""
     from matplotlib.patheffects import withStroke
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -57,19 +56,14 @@ class FamilySettings:
     obstacles: int | None = None
 
     def __post_init__(self) -> None:
-        for field in ("radius", "max_speed", "max_acceleration", "max_jerk"):
-            self._set(field, checks.number(SettingsError, field, getattr(self, field), above=0.0))
-        for field in ("clearance", "separation", "margin"):
-            self._set(field, checks.number(SettingsError, field, getattr(self, field), least=0.0))
-        self._set("spare_capacity", checks.integer(SettingsError, "spare_capacity", self.spare_capacity, least=0))
+        checks.store(self, checks.number, SettingsError, "radius", "max_speed", "max_acceleration", "max_jerk", above=0.0)
+        checks.store(self, checks.number, SettingsError, "clearance", "separation", "margin", least=0.0)
+        checks.store(self, checks.integer, SettingsError, "spare_capacity", least=0)
         if self.obstacles is not None:
-            self._set("obstacles", checks.integer(SettingsError, "obstacles", self.obstacles, least=0))
+            checks.store(self, checks.integer, SettingsError, "obstacles", least=0)
         if self.size is not None:
-            self._set("size", checks.point(SettingsError, "size", self.size))
+            checks.store(self, checks.point, SettingsError, "size")
             self._check_size(self.size)
-
-    def _set(self, field: str, value: Any) -> None:
-        object.__setattr__(self, field, value)
 
     def _check_size(self, size: Point) -> None:
         for axis, (side, doors) in enumerate(zip(size, LEAST_SIZE_DOORS, strict=True)):
@@ -81,7 +75,7 @@ class FamilySettings:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> FamilySettings:
         """Settings from keywords; an unknown one is an error that lists the known ones."""
-        return cls(**checks.keys(SettingsError, values, (), [field.name for field in dataclasses.fields(cls)]))
+        return checks.from_keys(SettingsError, cls, values)
 
     @property
     def need(self) -> float:

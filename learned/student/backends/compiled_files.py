@@ -22,9 +22,10 @@ __all__ = ["CompiledFiles", "digest_of", "usual_folder"]
 
 #: The files whose text says what is computed.
 SOURCES = (
-    "networks/diffusion.py", "networks/transformer.py", "student/network/allocation_head.py", "student/network/bundle_encoder.py",
-    "student/network/denoiser.py", "student/network/model.py", "student/network/rows.py", "student/network/scene_encoder.py",
-    "student/scenes/batch.py", "student/backends/graphs.py", "student/backends/openvino.py",
+    "networks/diffusion.py", "networks/transformer.py", "student/network/allocation_head.py",
+    "student/network/bundle_encoder.py", "student/network/denoiser.py", "student/network/model.py", "student/network/rows.py",
+    "student/network/scene_encoder.py", "student/scenes/batch.py", "student/backends/graphs.py",
+    "student/backends/openvino.py",
 )  # fmt: skip
 
 #: The package that they are in.

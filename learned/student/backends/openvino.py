@@ -1,8 +1,8 @@
 """The student compiled by OpenVINO: the same outputs, sooner.
 
 OpenVINO is fastest where it knows all sizes. So scenes, drones, tasks, rows and legs are padded to a few sizes, and each
-graph is compiled once for each of these, for one thread, and kept on disk (`learned.student.backends.compiled_files`), where the
-next process finds it.
+graph is compiled once for each of these, for one thread, and kept on disk (`learned.student.backends.compiled_files`),
+where the next process finds it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from flockopt.errors import MissingExtra, SettingsError
+from flockopt.errors import SettingsError, require
+from flockopt.records import checks
 from learned.student.backends.compiled_files import CompiledFiles, digest_of
 from learned.student.backends.graphs import OF_DRONES, OF_SCENES, OF_TASKS, GraphStudent, Head, Sampler
 from learned.student.network.model import Student
@@ -50,13 +51,9 @@ class OpenVinoStudent(GraphStudent):
     """
 
     def __init__(self, student: Student, precision: str = "f32", folder: Path | None = None) -> None:
-        if precision not in PRECISIONS:
-            raise SettingsError("precision", f"is {precision!r}", f"must be one of {', '.join(PRECISIONS)}", "choose one")
+        checks.choice(SettingsError, "precision", precision, known=PRECISIONS)
         super().__init__(student)
-        try:
-            import openvino
-        except ImportError:
-            raise MissingExtra("openvino", "openvino") from None
+        openvino = require("openvino", extra="openvino")
         self._core = openvino.Core()
         self._settings = {
             "INFERENCE_PRECISION_HINT": precision, "INFERENCE_NUM_THREADS": 1, "PERFORMANCE_HINT": "LATENCY",

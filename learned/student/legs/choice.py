@@ -11,30 +11,28 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flockopt.records.arrays import FloatArray
-from learned.student.legs.clearance import Obstructions, length, polyline_is_clear, segment_is_clear, thinned
+from flockopt.geometry.free_space import FreeSpace, polyline_free, segment_free
+from flockopt.geometry.polylines import polyline_length, thinned
+from flockopt.records.arrays import FloatArray, IntArray
 
 __all__ = ["best_legs", "pull_legs", "rank"]
 
-IntArray = NDArray[np.int64]
-
 
 @njit(cache=True)
-def rank(space: Obstructions, drone: int, way: FloatArray, tolerance: float) -> float:
+def rank(space: FreeSpace, way: FloatArray, tolerance: float) -> float:
     """Metres of a polyline (V, 3) that is clear once thinned by ``tolerance``, else infinite: less is better."""
-    return length(way) if polyline_is_clear(space, drone, thinned(way, tolerance)) else math.inf
+    return polyline_length(way) if polyline_free(space, thinned(way, tolerance)) else math.inf
 
 
 @njit(cache=True)
 def best_legs(
-    space: Obstructions, drone: int, leg_end: IntArray, blocked: NDArray[np.bool_], samples: FloatArray, tries: FloatArray,
+    space: FreeSpace, leg_end: IntArray, blocked: NDArray[np.bool_], samples: FloatArray, tries: FloatArray,
     tolerance: float,
 ) -> bool:  # fmt: skip
     """Put the best of some tries into one drone's samples, leg by leg.
 
     Args:
-        space: What to keep clear of.
-        drone: Which one.
+        space: What the drone keeps clear of.
         leg_end: (T,) and
         blocked: (T,) of the drone, see `learned.student.scenes.examples.Example`.
         samples: (T, 3) m, straight; changed between the anchors of blocked legs.
@@ -51,7 +49,7 @@ def best_legs(
             best, least = 0, math.inf
             for index in range(len(tries)):
                 samples[begin + 1 : end] = tries[index, begin + 1 : end]
-                ranked = rank(space, drone, samples[begin : end + 1], tolerance)
+                ranked = rank(space, samples[begin : end + 1], tolerance)
                 if ranked < least:
                     best, least = index, ranked
             samples[begin + 1 : end] = tries[best, begin + 1 : end]
@@ -61,9 +59,7 @@ def best_legs(
 
 
 @njit(cache=True)
-def pull_legs(
-    space: Obstructions, drone: int, leg_end: IntArray, blocked: NDArray[np.bool_], samples: FloatArray, tolerance: float
-) -> None:
+def pull_legs(space: FreeSpace, leg_end: IntArray, blocked: NDArray[np.bool_], samples: FloatArray, tolerance: float) -> None:
     """Pull one drone's blocked legs taut and thin them, in place; arguments as of `best_legs`.
 
     The corners that are left come first on each leg, and its end is repeated after them. Thinning a taut leg may cut a
@@ -75,23 +71,23 @@ def pull_legs(
         end = leg_end[begin + 1]
         if blocked[begin + 1]:
             drawn = samples[begin : end + 1].copy()
-            taut = pulled(space, drone, drawn)
+            taut = pulled(space, drawn)
             way = thinned(taut, tolerance)
-            if not polyline_is_clear(space, drone, way):
+            if not polyline_free(space, way):
                 only_thinned = thinned(drawn, tolerance)
-                way = only_thinned if polyline_is_clear(space, drone, only_thinned) else taut
+                way = only_thinned if polyline_free(space, only_thinned) else taut
             samples[begin : begin + len(way)] = way
             samples[begin + len(way) : end + 1] = way[-1]
         begin = end
 
 
 @njit(cache=True)
-def pulled(space: Obstructions, drone: int, way: FloatArray) -> FloatArray:
+def pulled(space: FreeSpace, way: FloatArray) -> FloatArray:
     """Vertices of a polyline (V, 3), each the farthest that a clear segment leads to from the one before."""
     kept = [0]
     while kept[-1] < len(way) - 1:
         here, there = kept[-1], len(way) - 1
-        while there > here + 1 and not segment_is_clear(space, drone, way[here], way[there]):
+        while there > here + 1 and not segment_free(space, way[here], way[there]):
             there -= 1
         kept.append(there)
     return way[np.array(kept)]

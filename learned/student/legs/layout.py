@@ -2,59 +2,46 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flockopt.records.arrays import FloatArray
-from learned.student.legs.clearance import Obstructions, segment_is_clear
+from flockopt.geometry.free_space import FreeSpace, segment_free
+from flockopt.geometry.kernels import segment_length
+from flockopt.records.arrays import FloatArray, IntArray
 
 __all__ = ["CLEAR_SHARE", "lay_out"]
 
 #: A leg whose straight line is clear gets this share of the samples that its length would bring it.
 CLEAR_SHARE = 0.25
 
-IntArray = NDArray[np.int64]
-
 
 @njit(cache=True)
-def lay_out(
-    space: Obstructions, anchors: FloatArray, offsets: IntArray, straight: FloatArray
-) -> tuple[IntArray, NDArray[np.bool_]]:
-    """Legs and samples of a whole fleet.
+def lay_out(space: FreeSpace, anchors: FloatArray, straight: FloatArray) -> tuple[IntArray, NDArray[np.bool_]]:
+    """Legs and samples of one drone.
 
     Args:
-        space: What to keep clear of.
-        anchors: (A, 3) m, all drones' anchors one after another.
-        offsets: (N + 1,) where each drone's begin; at most T anchors each.
-        straight: (N, T, 3) m, filled with the samples where a drone has legs, and left as it is where it has none.
+        space: What it keeps clear of.
+        anchors: (A, 3) m, 2 <= A <= T.
+        straight: (T, 3) m, filled with the samples.
 
     Returns:
-        (3, N, T) each sample's leg and the samples of that leg's anchors, and (N, T) whether the leg is blocked.
+        (3, T) each sample's leg and the samples of that leg's anchors, and (T,) whether the leg is blocked.
     """
-    num_drones, num_samples = straight.shape[:2]
-    legs = np.zeros((3, num_drones, num_samples), dtype=np.int64)
-    blocked = np.zeros((num_drones, num_samples), dtype=np.bool_)
-    for drone in range(num_drones):
-        own = anchors[offsets[drone] : offsets[drone + 1]]
-        if len(own) < 2:
-            continue
-        is_blocked = np.zeros(len(own) - 1, dtype=np.bool_)
-        weights = np.empty(len(own) - 1)
-        for leg in range(len(own) - 1):
-            is_blocked[leg] = not segment_is_clear(space, drone, own[leg], own[leg + 1])
-            step = own[leg + 1] - own[leg]
-            weights[leg] = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2) * (1.0 if is_blocked[leg] else CLEAR_SHARE)
-        places = anchor_places(weights, num_samples)
-        for leg in range(len(own) - 1):
-            begin, end = places[leg], places[leg + 1]
-            for sample in range(begin + (leg > 0), end + 1):  # a task's sample counts to the leg that ends there
-                legs[0, drone, sample], legs[1, drone, sample], legs[2, drone, sample] = leg, begin, end
-                blocked[drone, sample] = is_blocked[leg]
-                straight[drone, sample] = own[leg] + (sample - begin) / (end - begin) * (own[leg + 1] - own[leg])
-            straight[drone, begin], straight[drone, end] = own[leg], own[leg + 1]
+    num_legs, num_samples = len(anchors) - 1, len(straight)
+    legs, blocked = np.zeros((3, num_samples), dtype=np.int64), np.zeros(num_samples, dtype=np.bool_)
+    is_blocked, weights = np.zeros(num_legs, dtype=np.bool_), np.empty(num_legs)
+    for leg in range(num_legs):
+        is_blocked[leg] = not segment_free(space, anchors[leg], anchors[leg + 1])
+        weights[leg] = segment_length(anchors[leg], anchors[leg + 1]) * (1.0 if is_blocked[leg] else CLEAR_SHARE)
+    places = anchor_places(weights, num_samples)
+    for leg in range(num_legs):
+        begin, end = places[leg], places[leg + 1]
+        for sample in range(begin + (leg > 0), end + 1):  # a task's sample counts to the leg that ends there
+            legs[0, sample], legs[1, sample], legs[2, sample] = leg, begin, end
+            blocked[sample] = is_blocked[leg]
+            straight[sample] = anchors[leg] + (sample - begin) / (end - begin) * (anchors[leg + 1] - anchors[leg])
+        straight[begin], straight[end] = anchors[leg], anchors[leg + 1]
     return legs, blocked
 
 

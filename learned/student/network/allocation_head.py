@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from learned.networks.transformer import stack
 from learned.student.scenes.batch import FleetBatch
 
 __all__ = ["AttentionHead", "ProductHead"]
@@ -32,7 +33,7 @@ class AttentionHead(nn.Module):
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
-        self.layers = nn.ModuleList(DistanceLayer(width, heads) for _ in range(NUM_LAYERS))
+        self.layers = stack(DistanceLayer(width, heads) for _ in range(NUM_LAYERS))
         self.product = ProductHead(width)
         self.nearness = nn.Parameter(torch.zeros(2))
 
@@ -51,6 +52,7 @@ class AttentionHead(nn.Module):
 
     def _biases(self, apart: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
         """For each layer (B, heads, U, U), what the attention's scores gain by `pair_features` (B, 2, U, U)."""
+        # one product for all layers: distances do not change from layer to layer (as in ALiBi, Press et al. 2022)
         weight = torch.cat([layer.bias.weight for layer in self.layers])  # (layers * heads, 2)
         shift = torch.cat([layer.bias.bias for layer in self.layers])[:, None, None]
         biases = (weight @ apart.flatten(2)).unflatten(2, apart.shape[2:])

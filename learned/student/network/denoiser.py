@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from learned.networks.transformer import Block, _zeroed, sinusoids
+from learned.networks.transformer import TransformerBlock, sinusoids, stack, zeroed
 from learned.student.settings import StudentSettings
 
 __all__ = ["Conditions", "Denoiser"]
@@ -38,7 +39,8 @@ class Conditions:
     def rows(self, chosen: slice) -> Conditions:
         """Those of some scenes."""
         tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return Conditions(**{name: None if value is None else value[chosen] for name, value in tensors.items()})
+        parts: dict[str, Any] = {name: None if value is None else value[chosen] for name, value in tensors.items()}
+        return Conditions(**parts)
 
 
 class Denoiser(nn.Module):
@@ -55,10 +57,10 @@ class Denoiser(nn.Module):
         self.drone_slots = nn.Parameter(0.02 * torch.randn(slots, width)) if slots else None
         self.level_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.drone_in = nn.Linear(width, width)
-        self.blocks = nn.ModuleList(Block(width, settings.heads) for _ in range(settings.blocks))
+        self.blocks = stack(TransformerBlock(width, settings.heads) for _ in range(settings.blocks))
         self.norm = nn.LayerNorm(width, elementwise_affine=False)
-        self.modulation = _zeroed(nn.Linear(width, 2 * width))
-        self.samples_out = _zeroed(nn.Linear(width, patch * 3))
+        self.modulation = zeroed(nn.Linear(width, 2 * width))
+        self.samples_out = zeroed(nn.Linear(width, patch * 3))
 
     def forward(self, noisy: Tensor, noise_level: Tensor, conditions: Conditions) -> Tensor:
         """Clean samples (B, N, T, 3) from noisy ones; ``noise_level`` (B,) is t in the paper."""
@@ -123,6 +125,7 @@ class Denoiser(nn.Module):
 
     def alone(self, noisy: Tensor, told: Tensor, modulations: Sequence[Tensor]) -> Tensor:
         """Clean samples (R, T, 3) of drones each on its own: `forward` with what stays from step to step computed before."""
+        # the layer is linear in samples and features: its part for features is in ``told`` already, bias included
         weight = self.samples_in.weight.unflatten(1, (self.settings.patch, -1))[:, :, :3].flatten(1)
         tokens = told + nn.functional.linear(noisy.reshape(*told.shape[:2], -1), weight)
         for block, modulation in zip(self.blocks, modulations[:-1], strict=True):

@@ -8,7 +8,7 @@ from torch import Tensor
 from flockopt.geometry.distances import BOX, CYLINDER, SPHERE
 from learned.networks.obstacle_distance import outward, signed_distance
 from learned.student.network.scene_encoder import double_yaw
-from learned.student.scenes.batch import Ways
+from learned.student.scenes.batch import WayBatch
 
 __all__ = ["leg_frames", "num_sample_features", "sample_features", "to_points", "to_residuals", "units_m"]
 
@@ -25,7 +25,7 @@ NUM_OWN, NUM_PER_OBSTACLE = 13, 15
 REACH = 4.0
 
 
-def units_m(ways: Ways) -> Tensor:
+def units_m(ways: WayBatch) -> Tensor:
     """(B, N, 1, 1) m, the unit of each drone's residuals."""
     return (NEEDS_PER_UNIT * ways.needs).clamp(min=LEAST_UNIT_M)[..., None, None]
 
@@ -35,10 +35,11 @@ def _at(points: Tensor, places: Tensor) -> Tensor:
     return points.gather(2, places[..., None].expand_as(points))
 
 
-def leg_frames(ways: Ways) -> Tensor:
+def leg_frames(ways: WayBatch) -> Tensor:
     """(B, N, T, 3, 3): rows are the axes along the leg, level across it, and up from both."""
     along = _at(ways.straight, ways.leg_end) - _at(ways.straight, ways.leg_begin)
     along = along / along.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    # level by construction, so that turning the scene about z turns the frames with it; an upright leg has no such direction
     level = torch.stack([-along[..., 1], along[..., 0], torch.zeros_like(along[..., 0])], dim=-1)
     size = level.norm(dim=-1, keepdim=True)
     sideways = torch.tensor([0.0, 1.0, 0.0], device=along.device).expand_as(level)
@@ -46,12 +47,12 @@ def leg_frames(ways: Ways) -> Tensor:
     return torch.stack([along, across, torch.linalg.cross(along, across)], dim=-2)
 
 
-def to_residuals(ways: Ways, frames: Tensor, points: Tensor) -> Tensor:
+def to_residuals(ways: WayBatch, frames: Tensor, points: Tensor) -> Tensor:
     """Points (B, N, T, 3) m as offsets from the straight way, in the legs' frames and the drones' units."""
     return (frames @ (points - ways.straight)[..., None])[..., 0] / units_m(ways)
 
 
-def to_points(ways: Ways, frames: Tensor, residuals: Tensor) -> Tensor:
+def to_points(ways: WayBatch, frames: Tensor, residuals: Tensor) -> Tensor:
     """The inverse of `to_residuals`; anchors stay exactly where they are, metres."""
     num_samples = residuals.shape[2]
     sample = torch.arange(num_samples, device=residuals.device)
@@ -65,7 +66,7 @@ def num_sample_features(nearest: int) -> int:
     return NUM_OWN + nearest * NUM_PER_OBSTACLE
 
 
-def sample_features(ways: Ways, frames: Tensor, nearest: int) -> Tensor:
+def sample_features(ways: WayBatch, frames: Tensor, nearest: int) -> Tensor:
     """(B, N, T, F): where on its leg a sample of the straight way lies, the room to the bounds, the nearest obstacles."""
     unit = units_m(ways)
     sample = torch.arange(ways.straight.shape[2], device=frames.device)
@@ -81,7 +82,7 @@ def sample_features(ways: Ways, frames: Tensor, nearest: int) -> Tensor:
     return torch.cat(parts, dim=-1)
 
 
-def _obstacle_features(ways: Ways, frames: Tensor, unit: Tensor, nearest: int) -> Tensor:
+def _obstacle_features(ways: WayBatch, frames: Tensor, unit: Tensor, nearest: int) -> Tensor:
     """(B, N, T, nearest * 15): room, way out, centre, half extents, kind and turn of the nearest obstacles, nearest first.
 
     Where there are fewer obstacles, and for those out of reach, all features but the room are zero.
@@ -108,6 +109,7 @@ def _obstacle_features(ways: Ways, frames: Tensor, unit: Tensor, nearest: int) -
 def _relative_turn(rows: Tensor, frames: Tensor) -> Tensor:
     """(..., 2): cosine and sine of twice an obstacle's yaw as seen from the leg; zero for round shapes."""
     own = double_yaw(rows)
+    # differences of angles by the addition theorems, on doubled angles, which half a turn of a box leaves alone
     heading = frames[..., 1, [1, 0]] * torch.tensor([1.0, -1.0], device=rows.device)  # level direction of the leg
     cos_leg, sin_leg = heading[..., None, 0], heading[..., None, 1]
     cos_two, sin_two = cos_leg**2 - sin_leg**2, 2.0 * cos_leg * sin_leg

@@ -16,12 +16,12 @@ from learned.student.network.denoiser import Conditions, Denoiser
 from learned.student.network.leg_frame import leg_frames, num_sample_features, sample_features, to_points, to_residuals
 from learned.student.network.rows import Rows
 from learned.student.network.scene_encoder import AgentTokens, SceneEncoder, SceneTokens
-from learned.student.scenes.batch import FleetBatch, Ways
+from learned.student.scenes.batch import FleetBatch, WayBatch
 from learned.student.settings import StudentSettings
 
 __all__ = ["Student"]
 
-Record = TypeVar("Record", Ways, Conditions)
+Record = TypeVar("Record", WayBatch, Conditions)
 
 
 class Student(nn.Module):
@@ -89,8 +89,8 @@ class Student(nn.Module):
 
     def condition(
         self, batch: FleetBatch, rows: tuple[Tensor, Tensor] | None = None, tokens: SceneTokens | None = None
-    ) -> tuple[Ways, Conditions]:
-        """What the denoiser needs to know for all drones, or for some as scenes of their own: see `Ways.rows`.
+    ) -> tuple[WayBatch, Conditions]:
+        """What the denoiser needs to know for all drones, or for some as scenes of their own: see `WayBatch.rows`.
 
         Only a student without fleet attention can tell drones apart from their fleet.
         """
@@ -106,7 +106,7 @@ class Student(nn.Module):
         scene, mask = (tokens.all, tokens.mask) if fleet else (None, None)
         return ways, Conditions(drones, legs.gather(2, index), features, scene, mask, ways.active)
 
-    def clean_samples(self, ways: Ways) -> Tensor:
+    def clean_samples(self, ways: WayBatch) -> Tensor:
         """(B, N, T, 3): the targets in the student's own coordinates."""
         if ways.target is None:
             raise ValueError("these ways have no target")
@@ -114,7 +114,7 @@ class Student(nn.Module):
             return to_residuals(ways, leg_frames(ways), ways.target) / self.spread
         return ways.scaled(ways.target) / self.spread
 
-    def points(self, ways: Ways, samples: Tensor) -> Tensor:
+    def points(self, ways: WayBatch, samples: Tensor) -> Tensor:
         """(B, N, T, 3) m: the inverse of `clean_samples`; in the legs' frames, anchors are exact."""
         if self.settings.frame == "leg":
             return to_points(ways, leg_frames(ways), samples * self.spread)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from flockopt.records.arrays import FloatArray
-from learned.student.legs.clearance import obstructions
 from learned.student.network.sample_features import add_residuals, told_of
 from learned.student.network.scene_encoder import AgentTokens
 from learned.student.scenes.examples import Example
@@ -66,7 +65,7 @@ def rows_of(settings: StudentSettings, tokens: AgentTokens, examples: Sequence[E
 def _features(settings: StudentSettings, one: Example, drone: int) -> NDArray[np.float32]:
     need = one.scene.drones[drone].radius + one.scene.clearance
     way = one.leg_begin[drone], one.leg_end[drone], one.blocked[drone], one.straight[drone]
-    return told_of(obstructions(one.scene), need, *way, settings.nearest_obstacles)
+    return told_of(one.scene.free_space(need), need, *way, settings.nearest_obstacles)
 
 
 def points_of(examples: Sequence[Example], places: Sequence[Place], residuals: Tensor) -> FloatArray:

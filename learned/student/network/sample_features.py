@@ -1,4 +1,4 @@
-"""What the samples of one drone's straight way are told of their surroundings, compiled: twin of `learned.student.network.leg_frame`.
+"""What the samples of one drone's straight way are told of their surroundings: `learned.student.network.leg_frame`, compiled.
 
 For inference, where many small tensor operations would take longer than the network. Same features, float64 inside.
 """
@@ -11,24 +11,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flockopt.geometry.distances import BOX, CYLINDER
+from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, SHAPE, SIN_YAW, X, Y, Z
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.geometry.kernels import point_distance, point_gradient
-from flockopt.records.arrays import FloatArray
-from learned.student.legs.clearance import Obstructions
+from flockopt.records.arrays import FloatArray, IntArray
 from learned.student.network.leg_frame import LEAST_UNIT_M, NEEDS_PER_UNIT, NUM_OWN, NUM_PER_OBSTACLE, REACH
 from learned.student.scenes.batch import FAR_AWAY_M, MOST_OBSTACLES, THINNING
 
 __all__ = ["add_residuals", "told_of"]
 
-IntArray = NDArray[np.int64]
-
 
 @njit(cache=True)
 def told_of(
-    space: Obstructions, need: float, leg_begin: IntArray, leg_end: IntArray, blocked: NDArray[np.bool_],
+    space: FreeSpace, need: float, leg_begin: IntArray, leg_end: IntArray, blocked: NDArray[np.bool_],
     straight: FloatArray, nearest: int,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """(T, 3 + 13 + 15 nearest) features of one drone's samples, as `learned.student.network.leg_frame.sample_features` has them.
+    """(T, 3 + 13 + 15 nearest) features of one drone's samples: twin of `learned.student.network.leg_frame.sample_features`.
 
     Before them are three zeros, in the place of the noisy sample that the denoiser reads with them.
 
@@ -106,15 +104,15 @@ def _tell_of_obstacles(
 def _tell_of_one(obstacle: FloatArray, unit: float, axes: FloatArray, point: FloatArray, part: NDArray[np.float32]) -> None:
     """Fill all but the first of an obstacle's features, (15,)."""
     gx, gy, gz = point_gradient(obstacle, point[0], point[1], point[2])
-    cx, cy, cz = obstacle[1] - point[0], obstacle[2] - point[1], obstacle[3] - point[2]
+    cx, cy, cz = obstacle[X] - point[0], obstacle[Y] - point[1], obstacle[Z] - point[2]
     for axis in range(3):
         part[1 + axis] = axes[axis, 0] * gx + axes[axis, 1] * gy + axes[axis, 2] * gz
         centre = (axes[axis, 0] * cx + axes[axis, 1] * cy + axes[axis, 2] * cz) / unit
         part[4 + axis] = min(max(centre, -REACH), REACH)
-        part[7 + axis] = min(obstacle[4 + axis] / unit, REACH)
-    part[10 if obstacle[0] == BOX else 11 if obstacle[0] == CYLINDER else 12] = 1.0
-    if obstacle[0] == BOX:
-        cos_leg, sin_leg, cos_yaw, sin_yaw = axes[1, 1], -axes[1, 0], obstacle[7], obstacle[8]
+        part[7 + axis] = min(obstacle[HALF_X + axis] / unit, REACH)
+    part[10 if obstacle[SHAPE] == BOX else 11 if obstacle[SHAPE] == CYLINDER else 12] = 1.0
+    if obstacle[SHAPE] == BOX:
+        cos_leg, sin_leg, cos_yaw, sin_yaw = axes[1, 1], -axes[1, 0], obstacle[COS_YAW], obstacle[SIN_YAW]
         cos_two, sin_two = cos_leg * cos_leg - sin_leg * sin_leg, 2.0 * cos_leg * sin_leg
         cos_own, sin_own = cos_yaw * cos_yaw - sin_yaw * sin_yaw, 2.0 * cos_yaw * sin_yaw
         part[13] = cos_own * cos_two + sin_own * sin_two
@@ -125,7 +123,7 @@ def _tell_of_one(obstacle: FloatArray, unit: float, axes: FloatArray, point: Flo
 def add_residuals(
     need: float, leg_begin: IntArray, leg_end: IntArray, straight: FloatArray, residuals: NDArray[np.float32]
 ) -> FloatArray:
-    """(C, T, 3) m: tries from their residuals (C, T, 3), as `learned.student.network.leg_frame.to_points`; anchors stay exact."""
+    """(C, T, 3) m: tries from their residuals (C, T, 3): twin of `learned.student.network.leg_frame.to_points`."""
     unit = max(NEEDS_PER_UNIT * need, LEAST_UNIT_M)
     points = np.empty(residuals.shape)
     for sample in range(len(straight)):

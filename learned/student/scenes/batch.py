@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from flockopt.scene import Scene
 from learned.networks.obstacle_distance import signed_distance
 from learned.student.scenes.examples import Example
 
-__all__ = ["NOTHING", "FleetBatch", "Ways", "collate", "collate_agents", "with_nothing_else"]
+__all__ = ["NOTHING", "FleetBatch", "WayBatch", "collate", "collate_agents", "with_nothing_else"]
 
 #: The index of no task and of no drone.
 NOTHING = -1
@@ -27,11 +27,11 @@ FAR_AWAY_M = 1e6
 #: Obstacles that a drone drawn on its own is told of, and the samples of its way from which the nearest are looked for.
 MOST_OBSTACLES, THINNING = 12, 4
 
-Record = TypeVar("Record", "Ways", "FleetBatch")
+Record = TypeVar("Record", "WayBatch", "FleetBatch")
 
 
 @dataclass(frozen=True)
-class Ways:
+class WayBatch:
     """The straight ways through bundles, and what stands beside them. B scenes, N drones, T samples, K obstacles.
 
     Attributes:
@@ -79,7 +79,7 @@ class Ways:
         shape = (-1, *[1] * (points.dim() - 2))
         return points * self.half_extent.view(*shape, 1) + self.centre.view(*shape, 3)
 
-    def rows(self, scene: Tensor, drone: Tensor) -> Ways:
+    def rows(self, scene: Tensor, drone: Tensor) -> WayBatch:
         """Some drones, each as a scene of its own: ``drone`` (R,) of ``scene`` (R,) becomes R scenes with one drone.
 
         Of the obstacles only those nearest to the blocked legs stay, at most `MOST_OBSTACLES`.
@@ -95,7 +95,7 @@ class Ways:
             per_scene["obstacles"] = per_scene["obstacles"].gather(1, index[..., None].expand(-1, -1, len(OBSTACLE_COLUMNS)))
             per_scene["obstacle_mask"] = per_scene["obstacle_mask"].gather(1, index)
         target = None if self.target is None else self.target[scene, drone][:, None]
-        return Ways(**{name: value[:, None] for name, value in per_drone.items()}, **per_scene, target=target)
+        return WayBatch(**{name: value[:, None] for name, value in per_drone.items()}, **per_scene, target=target)
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class FleetBatch:
     bundles: Tensor
     assignment: Tensor
     teaches_allocation: Tensor
-    ways: Ways
+    ways: WayBatch
 
     def mirrored(self, generator: torch.Generator) -> FleetBatch:
         """Every scene mirrored in x, in y and in the line x = y, each by the toss of a coin."""
@@ -144,8 +144,8 @@ class FleetBatch:
             upper=corners.amax(dim=0),
             target=None if self.ways.target is None else _mirror(self.ways.target, tosses),
         )
-        places = {name: _mirror(getattr(self, name), tosses) for name in ("starts", "ends", "tasks")}
-        return dataclasses.replace(self, ways=ways, **places)
+        starts, ends, tasks = (_mirror(places, tosses) for places in (self.starts, self.ends, self.tasks))
+        return dataclasses.replace(self, ways=ways, starts=starts, ends=ends, tasks=tasks)
 
     def to(self, device: torch.device) -> FleetBatch:
         """The same on another device."""
@@ -154,9 +154,8 @@ class FleetBatch:
 
 def _moved(record: Record, device: torch.device) -> Record:
     tensors = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
-    return dataclasses.replace(
-        record, **{name: value.to(device) for name, value in tensors.items() if isinstance(value, Tensor)}
-    )
+    moved: dict[str, Any] = {name: value.to(device) for name, value in tensors.items() if isinstance(value, Tensor)}
+    return dataclasses.replace(record, **moved)
 
 
 def _mirror(vectors: Tensor, tosses: Tensor) -> Tensor:
@@ -187,7 +186,7 @@ def collate(examples: Sequence[Example], multiple: int = 1) -> FleetBatch:
             bundles[index, drone, : len(route)] = route
             assignment[index, list(route)] = drone
     targets = [one.target for one in examples if one.target is not None]
-    ways = Ways(
+    ways = WayBatch(
         straight=_padded([one.straight for one in examples], num_drones),
         leg_index=_padded([one.leg_index for one in examples], num_drones),
         leg_begin=_padded([one.leg_begin for one in examples], num_drones),
@@ -218,14 +217,14 @@ def with_nothing_else(tensors: dict[str, Tensor]) -> FleetBatch:
     """A batch of some tensors of a batch or its ways, by name; the others are empty, and there is no target."""
     empty = torch.empty(0)
     ways, batch = (
-        {field.name: tensors.get(field.name, empty) for field in dataclasses.fields(kind)} for kind in (Ways, FleetBatch)
+        {field.name: tensors.get(field.name, empty) for field in dataclasses.fields(kind)} for kind in (WayBatch, FleetBatch)
     )
     del ways["target"], batch["ways"]
-    return FleetBatch(**batch, ways=Ways(**ways))
+    return FleetBatch(**batch, ways=WayBatch(**ways))
 
 
 def _agents(scenes: Sequence[Scene], multiple: int = 1) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """What is known of drones, tasks and bounds: fields of a `FleetBatch`, and of its `Ways`."""
+    """What is known of drones, tasks and bounds: fields of a `FleetBatch`, and of its `WayBatch`."""
     drones, tasks = [scene.num_drones for scene in scenes], [scene.num_tasks for scene in scenes]
     num_drones, num_tasks = _rounded_up(max(drones), multiple), _rounded_up(max([1, *tasks]), multiple)
     has_end = [np.isfinite(scene.ends[:, 0]) for scene in scenes]

@@ -15,15 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flockopt.errors import SettingsError
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from flockopt.scene import Scene
 from learned.paths.rollout import anchors_of
-from learned.student.legs.clearance import obstructions
 from learned.student.legs.layout import lay_out
 
 __all__ = ["Example", "example", "unassigned", "with_ways"]
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,12 @@ class Example:
     @property
     def active(self) -> NDArray[np.bool_]:
         """(N,), m in the paper: drones that go anywhere."""
-        return self.leg_end.max(axis=1) > 0
+        return np.greater(self.leg_end.max(axis=1), 0)
+
+    @property
+    def is_blocked(self) -> NDArray[np.bool_]:
+        """(N,): drones with a leg whose straight line is not clear."""
+        return np.logical_or.reduce(self.blocked, axis=1)
 
 
 def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64) -> Example:
@@ -64,13 +66,17 @@ def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64
         SettingsError: If a drone has more anchors than samples.
     """
     anchors = [anchors_of(scene, drone, route) for drone, route in enumerate(routes)]
-    offsets = np.cumsum([0, *map(len, anchors)])
-    for drone, num_legs in enumerate(np.diff(offsets) - 1):
-        if num_legs >= num_samples:
+    for drone, own in enumerate(anchors):
+        if len(own) > num_samples:
             rule = f"a drone has at most {num_samples - 1} legs"
-            raise SettingsError(f"bundles[{drone}]", f"makes {num_legs} legs", rule, "spread the tasks over more drones")
+            raise SettingsError(f"bundles[{drone}]", f"makes {len(own) - 1} legs", rule, "spread the tasks over more drones")
     straight = np.repeat(scene.starts[:, None], num_samples, axis=1)
-    legs, blocked = lay_out(obstructions(scene), np.concatenate(anchors), offsets, straight)
+    legs = np.zeros((3, scene.num_drones, num_samples), dtype=np.int64)
+    blocked = np.zeros((scene.num_drones, num_samples), dtype=np.bool_)
+    for drone, own in enumerate(anchors):
+        if len(own) > 1:
+            space = scene.free_space(scene.radii[drone] + scene.clearance)
+            legs[:, drone], blocked[drone] = lay_out(space, own, straight[drone])
     return Example(scene, tuple(tuple(route) for route in routes), *legs, straight, blocked)
 
 

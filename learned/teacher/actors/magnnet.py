@@ -16,7 +16,7 @@ from learned.teacher.descriptors import DRONE_FEATURES, PAIR_FEATURES, Observati
 __all__ = ["MagnnetActor"]
 
 
-class MessageRound(nn.Module):
+class EdgeMessageRound(nn.Module):
     """One round of messages along the edges between drones and tasks, in both directions."""
 
     def __init__(self, width: int, edge_width: int) -> None:
@@ -59,7 +59,7 @@ class MagnnetActor(nn.Module):
         self.edge = nn.Linear(len(PAIR_FEATURES), edge_width)
         self.drone = nn.Linear(len(DRONE_FEATURES), width)
         self.task = nn.Parameter(torch.zeros(width))
-        self.rounds = nn.ModuleList(MessageRound(width, edge_width) for _ in range(num_rounds))
+        self.rounds = nn.ModuleList(EdgeMessageRound(width, edge_width) for _ in range(num_rounds))
         self.from_drone = nn.Linear(width, edge_width)
         self.from_task = nn.Linear(width, edge_width, bias=False)
         self.from_edge = nn.Linear(edge_width, edge_width, bias=False)

@@ -30,7 +30,7 @@ def load_actor(method: str, path: str | Path) -> TeacherActor | MagnnetActor:
         SettingsError: If the file is missing, damaged, foreign or does not fit the method.
     """
     tensors, settings = load_weights(path, method)
-    width = checks.integer(SettingsError, "width", settings.get("width"), least=2, mend=f"it is damaged in {path}")
+    width = checks.integer(SettingsError, f"weights: {path}: width", settings.get("width"), least=2)
     actor = make_actor(method, width)
     set_tensors(actor, tensors, str(path))
     return actor.eval().requires_grad_(False)

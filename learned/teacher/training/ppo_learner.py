@@ -9,15 +9,17 @@ from torch import Tensor, nn
 
 from learned.teacher import ppo
 from learned.teacher.actors.critic import CentralCritic
+from learned.teacher.actors.magnnet import MagnnetActor
+from learned.teacher.actors.policy import TeacherActor
 from learned.teacher.episodes import Moment, play
 from learned.teacher.problems import Problems
-from learned.teacher.training.settings import TrainingSettings
+from learned.teacher.training.settings import AllocatorTrainingSettings
 
-__all__ = ["Learner", "Progress"]
+__all__ = ["IterationFigures", "PPOLearner"]
 
 
 @dataclass(frozen=True)
-class Progress:
+class IterationFigures:
     """Figures of one iteration.
 
     Attributes:
@@ -48,7 +50,7 @@ class _Batch:
     returns: list[Tensor]
 
 
-class Learner:
+class PPOLearner:
     """Actor, critic and their optimiser.
 
     Args:
@@ -58,12 +60,18 @@ class Learner:
         generator: Of everything random.
     """
 
-    def __init__(self, actor: nn.Module, critic: CentralCritic, settings: TrainingSettings, generator: torch.Generator) -> None:
+    def __init__(
+        self,
+        actor: TeacherActor | MagnnetActor,
+        critic: CentralCritic,
+        settings: AllocatorTrainingSettings,
+        generator: torch.Generator,
+    ) -> None:
         self.actor, self.critic, self.settings, self.generator = actor, critic, settings, generator
         self.parameters = [*actor.parameters(), *critic.parameters()]
         self.optimiser = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5)
 
-    def iterate(self, problems: Problems, share_left: float) -> Progress:
+    def iterate(self, problems: Problems, share_left: float) -> IterationFigures:
         """Learn from one batch of problems.
 
         Args:
@@ -80,7 +88,7 @@ class Learner:
                 sums += self._update(batch, rows.sort().values, self.settings.entropy_bonus * share_left)
                 count += 1
         means = (sums / count).tolist()
-        return Progress(*figures[:2], means[2], means[0], means[1], figures[2], means[3])
+        return IterationFigures(*figures[:2], means[2], means[0], means[1], figures[2], means[3])
 
     def _collect(self, problems: Problems) -> tuple[_Batch, tuple[float, float, float]]:
         with torch.no_grad():
@@ -113,6 +121,7 @@ class Learner:
         loss.backward()
         nn.utils.clip_grad_norm_(self.parameters, self.settings.most_gradient)
         self.optimiser.step()
+        # the second-order estimate of KL(old || new): never negative, and of little variance
         divergence = (log_probs.detach() - old).square().mean() / 2
         return torch.stack([policy.detach(), value.detach(), surprise.detach(), divergence])
 

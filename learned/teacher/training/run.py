@@ -18,9 +18,9 @@ from learned.teacher.actors.critic import CentralCritic
 from learned.teacher.actors.networks import make_actor, set_tensors
 from learned.teacher.episodes import play
 from learned.teacher.problems import Problems, random_problems
-from learned.teacher.training.ppo_learner import Learner
+from learned.teacher.training.ppo_learner import PPOLearner
 from learned.teacher.training.scene_pool import ScenePool
-from learned.teacher.training.settings import TrainingSettings
+from learned.teacher.training.settings import AllocatorTrainingSettings
 from learned.teacher.training.validation import ValidationSet
 
 __all__ = ["EVALUATE_EVERY", "Training", "final_weights"]
@@ -65,7 +65,7 @@ class Training:
         SettingsError: If the folder holds a run with other settings, or a damaged checkpoint.
     """
 
-    def __init__(self, settings: TrainingSettings, pool: ScenePool, folder: Path, validation: ValidationSet) -> None:
+    def __init__(self, settings: AllocatorTrainingSettings, pool: ScenePool, folder: Path, validation: ValidationSet) -> None:
         self.settings, self.pool, self.folder, self.validation = settings, pool, folder, validation
         self.iteration = 0
         self.history: list[dict[str, float]] = []
@@ -74,7 +74,7 @@ class Training:
             torch.manual_seed(settings.seed)
             self.actor = make_actor(settings.method, settings.width)
             self.critic = CentralCritic(settings.width, self.actor.memory_width)
-        self.learner = Learner(self.actor, self.critic, settings, self.generator)
+        self.learner = PPOLearner(self.actor, self.critic, settings, self.generator)
         if (folder / CHECKPOINT).exists():
             self._resume()
         else:

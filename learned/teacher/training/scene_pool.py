@@ -14,6 +14,7 @@ import io
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -75,7 +76,8 @@ def _build_shard(family: str, shard: int, path: Path) -> None:
         for name, values in zip(SHAPES, found, strict=True):
             rows[name].append(values.astype(np.float32))
     content = io.BytesIO()
-    np.savez(content, **{name: np.stack(values) for name, values in rows.items()})
+    arrays: dict[str, Any] = {name: np.stack(values) for name, values in rows.items()}
+    np.savez(content, **arrays)
     files.write_whole(SettingsError, path, content.getvalue())
 
 

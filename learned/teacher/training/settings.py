@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
 from flockopt.errors import SettingsError
 from flockopt.records import checks
 
-__all__ = ["METHODS", "TrainingSettings"]
+__all__ = ["METHODS", "AllocatorTrainingSettings"]
 
 #: What can be trained; `learned.teacher.allocators` has one method more.
 METHODS = ("teacher", "magnnet")
 
 
 @dataclass(frozen=True)
-class TrainingSettings:
+class AllocatorTrainingSettings:
     """How to train an allocator; the defaults are those of the shipped weights.
 
     Attributes:
@@ -57,22 +56,13 @@ class TrainingSettings:
     width: int = 64
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            value = f"is {checks.shown(self.method)}"
-            raise SettingsError("method", value, f"must be one of {', '.join(METHODS)}", "choose one")
-        for field, least in (("seed", 0), ("iterations", 1), ("batch_size", 8), ("num_epochs", 1), ("num_minibatches", 1)):
-            self._set(field, checks.integer(SettingsError, field, getattr(self, field), least=least))
-        self._set("width", checks.integer(SettingsError, "width", self.width, least=2))
-        for field in ("learning_rate", "clip", "most_gradient"):
-            self._set(field, checks.number(SettingsError, field, getattr(self, field), above=0.0))
-        for field in ("pool_share", "entropy_bonus", "trace", "value_weight", "step_cost"):
-            self._set(field, checks.number(SettingsError, field, getattr(self, field), least=0.0))
-        for field in ("pool_share", "trace"):
-            if not getattr(self, field) <= 1.0:
-                raise SettingsError(field, f"is {getattr(self, field):g}", "must be in [0, 1]", "choose a share")
-
-    def _set(self, field: str, value: Any) -> None:
-        object.__setattr__(self, field, value)
+        checks.store(self, checks.choice, SettingsError, "method", known=METHODS)
+        for field, least in (("seed", 0), ("batch_size", 8), ("width", 2)):
+            checks.store(self, checks.integer, SettingsError, field, least=least)
+        checks.store(self, checks.integer, SettingsError, "iterations", "num_epochs", "num_minibatches", least=1)
+        checks.store(self, checks.number, SettingsError, "learning_rate", "clip", "most_gradient", above=0.0)
+        checks.store(self, checks.number, SettingsError, "entropy_bonus", "value_weight", "step_cost", least=0.0)
+        checks.store(self, checks.share, SettingsError, "pool_share", "trace")
 
     @property
     def slots(self) -> int | None:
@@ -80,6 +70,6 @@ class TrainingSettings:
         return 1 if self.method == "magnnet" else None
 
     @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> TrainingSettings:
+    def from_dict(cls, values: dict[str, Any]) -> AllocatorTrainingSettings:
         """Settings from a JSON object; an unknown key is an error that lists the known ones."""
-        return cls(**checks.keys(SettingsError, values, (), [field.name for field in dataclasses.fields(cls)]))
+        return checks.from_keys(SettingsError, cls, values)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import trajectories
+from benchmarks.flight_measures import squared_jerk
 from flockopt.flights import Flight, Visit
 
 pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
@@ -61,4 +62,4 @@ def test_squared_jerk_is_integrated_exactly():
     from flockopt.flights import Curve
 
     curve = Curve(np.array([0.0, 2.0]), np.array([[[0, 0, 0, 0, 1.0], [0, 0, 0, 1.0, 0], [0.0] * 5]]))
-    assert trajectories._squared_jerk(curve) == pytest.approx(24**2 * 2**3 / 3 + 36 * 2)
+    assert squared_jerk(curve) == pytest.approx(24**2 * 2**3 / 3 + 36 * 2)

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from flockopt.bundles import Bound
+from flockopt.certificate import optimum
 from flockopt.certificate.proof import KINDS, recompute_bound
 from flockopt.errors import PlanError
 from tests.instances import random_instance, random_scene, with_cut_legs
 
 
 def length_of(kind, scene):
-    return {"rooted-forest": 0, "held-karp-forest": scene.num_tasks + scene.num_drones, "ng-route": scene.num_tasks}[kind]
+    prices = scene.num_tasks
+    return {"rooted-forest": 0, "held-karp-forest": prices + scene.num_drones, "ng-route": prices, "optimum": prices}[kind]
 
 
 def cheapest_travel(scene, travel):
@@ -85,7 +87,7 @@ def test_cut_off_tasks_and_no_tasks(kind):
     scene, travel = random_instance(np.random.default_rng(1), drones=2, tasks=3, capacity=3)
     cut = dataclasses.replace(travel, start_task=np.full((2, 3), np.inf), task_task=np.full((1, 3, 3), np.inf))
     value = recompute_bound(scene, cut, Bound(kind, 0.0, np.zeros(length_of(kind, scene))))
-    assert value == (0.0 if kind == "ng-route" else np.inf)
+    assert value == (0.0 if kind in ("ng-route", "optimum") else np.inf)
     empty = random_scene(np.random.default_rng(1), drones=2, tasks=0, capacity=1)
     assert recompute_bound(empty, travel, Bound(kind, 0.0, np.zeros(length_of(kind, empty)))) == 0.0
 
@@ -116,3 +118,45 @@ def test_drones_of_several_classes_use_their_own_matrices():
     mixed = recompute_bound(scene, two, Bound("ng-route", 0.0, prices))
     assert mixed >= recompute_bound(scene, travel, Bound("ng-route", 0.0, prices))
     assert mixed <= cheapest_travel(scene, two)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_optimum_is_found_again_and_nothing_above_it(seed):
+    """Whatever the prices: the claim of the brute-force optimum holds, a higher one comes down to it, a lower one stays."""
+    rng = np.random.default_rng(seed)
+    scene, travel = random_instance(rng, drones=3, tasks=5, capacity=[3, 2, 4], ends=seed % 2 == 1, demands=seed % 3 == 0)
+    best = cheapest_travel(scene, travel)
+    for prices in (np.zeros(5), rng.uniform(0, 8, 5)):
+        assert recompute_bound(scene, travel, Bound("optimum", best, prices)) == best
+        assert recompute_bound(scene, travel, Bound("optimum", 1.1 * best, prices)) == pytest.approx(best)
+        assert recompute_bound(scene, travel, Bound("optimum", 0.9 * best, prices)) == pytest.approx(0.9 * best)
+
+
+def test_the_optimum_heeds_how_far_drones_may_fly():
+    """The near drone may not fly the long round, so the best is dearer than without the limit."""
+    rng = np.random.default_rng(5)
+    scene, travel = random_instance(rng, drones=2, tasks=4, capacity=4)
+    free = cheapest_travel(scene, travel)
+    lengths = [travel.route_length(drone, order) for drone in range(2) for order in itertools.permutations(range(4))]
+    reach = min(lengths) * 0.6
+    drones = tuple(dataclasses.replace(drone, max_distance=reach) for drone in scene.drones)
+    bound = recompute_bound(scene.replace(drones=drones), travel, Bound("optimum", 2.0 * free, np.zeros(4)))
+    assert bound > free + 1e-6
+
+
+@pytest.mark.parametrize("value, field", [(np.nan, "value"), (1e9, "dual")])
+def test_claims_that_cannot_be_rechecked_are_named(value, field, monkeypatch):
+    monkeypatch.setattr(optimum, "MOST_ROUTES", 20)
+    scene, travel = random_instance(np.random.default_rng(2), drones=2, tasks=5, capacity=5)
+    with pytest.raises(PlanError) as caught:
+        recompute_bound(scene, travel, Bound("optimum", value, np.zeros(5)))
+    assert caught.value.field == field
+
+
+def test_drones_that_cannot_idle_are_flown():
+    """The second drone has no way from its start to its end without tasks: it must serve some."""
+    scene, travel = random_instance(np.random.default_rng(4), drones=2, tasks=3, capacity=3, ends=True)
+    travel = dataclasses.replace(travel, start_end=np.array([travel.start_end[0], np.inf]))
+    best = cheapest_travel(scene, travel)
+    assert recompute_bound(scene, travel, Bound("optimum", best, np.zeros(3))) == best
+    assert recompute_bound(scene, travel, Bound("optimum", best + 5.0, np.zeros(3))) == pytest.approx(best)

@@ -215,3 +215,15 @@ def test_tables_line_up_and_stay_on_their_lines():
     assert len({len(line) for line in lines}) == 1
     assert lines[2].startswith("a\\nb\\x1b[31m")
     assert printable("naïve 7 m") == "naïve 7 m"
+
+
+def test_the_exact_planner_says_that_its_plan_is_the_best(flockopt, tmp_path, root):
+    output = tmp_path / "plan.json"
+    status, out, _ = flockopt("plan", root / "examples/scenes/rotterdam.json", "-o", output, "--planner", "exact")
+    assert status == 0
+    assert "gap       0.00%: no allocation travels less, and that is proven" in out
+    status, out, _ = flockopt("verify", root / "examples/scenes/rotterdam.json", output)
+    assert status == 0
+    record = json.loads(output.read_text())
+    assert record["cost"]["gap"] == 0.0
+    assert record["settings"]["seed"] == 0

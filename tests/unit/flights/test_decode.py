@@ -88,8 +88,7 @@ def test_a_task_beside_a_wall_is_reached_without_touching_it():
     flights = decode(scene, in_order(scene))
     check_flights(scene, flights)
     curve = flights["d0"].curve
-    table, boxes = scene.obstacle_table, scene.obstacle_boxes
-    assert least_clearance(table, boxes, np.full(2, 0.22), curve.breakpoints, curve.coefficients, 1e-6)[0] >= -1e-6
+    assert least_clearance(scene.free_space(0.22), curve.breakpoints, curve.coefficients, 1e-6)[0] >= -1e-6
 
 
 def test_a_short_leash_keeps_to_the_shortest_way():

@@ -7,6 +7,7 @@ import pytest
 
 from flockopt.flights import Curve
 from flockopt.flights.laws.fly_through import first_outside, fly_polyline
+from flockopt.geometry.free_space import free_space
 
 LIMITS = np.array([2.0, 4.0, 30.0])
 ZERO = np.zeros(3)
@@ -83,8 +84,10 @@ def test_a_cap_slows_its_leg():
 def test_first_outside_names_the_piece():
     points = np.array([[1.0, 1, 1], [5, 1, 1], [5, 5, 1]])
     breakpoints, coefficients, _, _ = fly_polyline(points, np.array([-1.0, -1, 0]), np.full(2, 2.0), LIMITS, ZERO, ZERO)
-    roomy = first_outside(np.zeros(3), np.full(3, 9.0), breakpoints, coefficients)
-    tight = first_outside(np.zeros(3), np.array([5.0, 9.0, 9.0]), breakpoints, coefficients)
+    roomy = first_outside(free_space(np.empty((0, 9)), 0.0, (np.zeros(3), np.full(3, 9.0))), breakpoints, coefficients)
+    tight = first_outside(
+        free_space(np.empty((0, 9)), 0.0, (np.zeros(3), np.array([5.0, 9.0, 9.0]))), breakpoints, coefficients
+    )
     assert roomy == -1
     piece = Curve(breakpoints[tight : tight + 2], coefficients[tight : tight + 1])
     assert piece(np.linspace(piece.start_time, piece.end_time, 200))[:, 0].max() > 5.0

@@ -49,10 +49,10 @@ def check(scene: Scene, flights: dict) -> None:
     for record in scene.drones:
         if record.id not in flights:
             continue
-        curve, room_needs = flights[record.id].curve, np.full(len(scene.obstacles), record.radius + scene.clearance)
+        curve, space = flights[record.id].curve, scene.free_space(record.radius + scene.clearance)
         pieces = curve.breakpoints, curve.coefficients
-        assert curve_clear(scene.obstacle_table, scene.obstacle_boxes, room_needs, *pieces) == -1
-        assert first_outside(np.array(scene.bounds.lower), np.array(scene.bounds.upper), *pieces) == -1
+        assert curve_clear(space, *pieces) == -1
+        assert first_outside(space, *pieces) == -1
         control = control_points(*pieces, curve.coefficients.shape[2])
         for order, limit in enumerate((record.max_speed, record.max_acceleration, record.max_jerk), start=1):
             assert largest_norm(curve.breakpoints, control, order)[0] <= limit

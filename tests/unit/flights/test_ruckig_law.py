@@ -164,11 +164,11 @@ def test_the_law_is_certified_and_no_slower_than_fly_through(family: str):
     scene = generate(family, drones=4, tasks=10, seed=6)
     bundles = Bundles(tuple(tuple(range(i, 10, 4)) for i in range(4)))
     flights, others = (decode(scene, bundles, law=law) for law in ("ruckig", "fly-through"))
-    needs = np.full(len(scene.obstacles), scene.drones[0].radius + scene.clearance)
+    space = scene.free_space(scene.drones[0].radius + scene.clearance)
     for flight in flights.values():
         curve = flight.curve
         pieces = curve.breakpoints, curve.coefficients
-        assert curve_clear(scene.obstacle_table, scene.obstacle_boxes, needs, *pieces) == -1
+        assert curve_clear(space, *pieces) == -1
         for visit in flight.visits:
             position = scene.tasks[int(visit.task[1:])].position
             np.testing.assert_allclose(curve(visit.time), position, atol=1e-7)
@@ -186,9 +186,7 @@ def test_a_task_beside_a_wall_is_reached_without_touching_it():
     tasks = tuple(Task(f"t{j}", place) for j, place in enumerate([(5.33, 7.57, 1), (4.67, 2.2, 1), (5.33, 2.3, 1)]))
     scene = make_scene((Drone("d0", (4.5, 9.5, 1), 5, 0.12, 2.0, 4.0, 30.0),), tasks, walls)
     curve = decode(scene, Bundles(((0, 1, 2),)), law="ruckig")["d0"].curve
-    margins = least_clearance(
-        scene.obstacle_table, scene.obstacle_boxes, np.full(2, 0.22), curve.breakpoints, curve.coefficients, 1e-6
-    )
+    margins = least_clearance(scene.free_space(0.22), curve.breakpoints, curve.coefficients, 1e-6)
     assert margins[0] >= -1e-6
 
 

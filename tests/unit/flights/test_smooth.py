@@ -186,8 +186,7 @@ def test_a_flight_through_a_wall_never_comes_back_smoothed_through_it():
     given = decode(scene, Bundles(((0,), ())))
     through = {"d0": Flight(given["d0"].curve)}
     report = smooth_each(blocked, through)["d0"]
-    needs = np.full(1, 0.22)
-    assert curve_clear(blocked.obstacle_table, blocked.obstacle_boxes, needs, *_arrays(through["d0"])) >= 0
+    assert curve_clear(blocked.free_space(0.22), *_arrays(through["d0"])) >= 0
     assert report.status == NOTHING_BETTER
     assert report.flight is through["d0"]
 

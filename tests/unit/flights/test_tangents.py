@@ -5,14 +5,14 @@ from flockopt import Box, Cylinder, Sphere
 from flockopt.flights.smoothing.stages import Stage
 from flockopt.flights.smoothing.tangents import part_weights, tangent_rows
 from flockopt.geometry.continuous import curve_clear
-from flockopt.geometry.distances import bounding_boxes, distances
+from flockopt.geometry.distances import distances
+from flockopt.geometry.free_space import free_space
 from flockopt.scene.parts import obstacle_table
 
 OBSTACLES = (Box("b", (0, 0, 0), (2, 1, 3), 0.4), Cylinder("c", (3, 1, 0), 0.7, 2.0), Sphere("s", (-2, 2, 0.5), 0.8))
 TABLE = obstacle_table(OBSTACLES)
-BOXES = bounding_boxes(TABLE)
-NEEDS = np.full(3, 0.2)
 FAR = np.full(3, 50.0)
+SPACE = free_space(TABLE, 0.2, (-FAR, FAR))
 
 
 def stage_around(rng):
@@ -52,7 +52,7 @@ def test_the_given_curve_keeps_to_its_own_inequalities():
     rng = np.random.default_rng(2)
     for _ in range(20):
         stage = stage_around(rng)
-        rows, offsets = tangent_rows(stage.control, TABLE, BOXES, NEEDS, -FAR, FAR, 24, 1.0)
+        rows, offsets = tangent_rows(stage.control, SPACE, 24, 1.0)
         assert rows.any()
         assert (np.einsum("krai,kai->kr", rows, stage.control) - offsets).min() >= -1e-12
 
@@ -62,7 +62,7 @@ def test_a_curve_that_keeps_to_them_is_clear():
     clear = blocked = 0
     for _ in range(20):
         stage = stage_around(rng)
-        rows, offsets = tangent_rows(stage.control, TABLE, BOXES, NEEDS, -FAR, FAR, 400, 50.0)
+        rows, offsets = tangent_rows(stage.control, SPACE, 400, 50.0)
         strict = (np.einsum("krai,kai->kr", rows, stage.control) > offsets + 1e-9).all(axis=1)  # nothing was relaxed
         for scale in (0.02, 0.1, 0.3):
             states = stage.states + rng.normal(scale=scale, size=stage.states.shape)
@@ -70,7 +70,7 @@ def test_a_curve_that_keeps_to_them_is_clear():
             keeps = strict & (np.einsum("krai,kai->kr", rows, other.control) >= offsets).all(axis=1)
             for piece in range(4):
                 span = other.breakpoints[piece : piece + 2]
-                is_clear = curve_clear(TABLE, BOXES, NEEDS, span - span[0], other.coefficients[piece : piece + 1]) == -1
+                is_clear = curve_clear(SPACE, span - span[0], other.coefficients[piece : piece + 1]) == -1
                 assert is_clear or not keeps[piece]
                 clear, blocked = clear + keeps[piece], blocked + (not is_clear)
     assert clear > 50
@@ -80,7 +80,7 @@ def test_a_curve_that_keeps_to_them_is_clear():
 def test_bounds_are_kept():
     stage = stage_around(np.random.default_rng(4))
     upper = stage.control.max(axis=(0, 2)) + 0.1
-    rows, offsets = tangent_rows(stage.control, TABLE[:0], BOXES[:0], NEEDS[:0], -FAR, upper, 12, 0.5)
+    rows, offsets = tangent_rows(stage.control, free_space(TABLE[:0], 0.2, (-FAR, upper)), 12, 0.5)
     moved = stage.control + np.array([0.0, 0.0, 0.11])[:, None]
     assert (np.einsum("krai,kai->kr", rows, stage.control) >= offsets).all()
     assert not (np.einsum("krai,kai->kr", rows, moved) >= offsets).all()
@@ -88,8 +88,8 @@ def test_bounds_are_kept():
 
 def test_the_tightest_are_kept():
     stage = stage_around(np.random.default_rng(5))
-    many = tangent_rows(stage.control, TABLE, BOXES, NEEDS, -FAR, FAR, 200, 1.0)
-    few = tangent_rows(stage.control, TABLE, BOXES, NEEDS, -FAR, FAR, 5, 1.0)
+    many = tangent_rows(stage.control, SPACE, 200, 1.0)
+    few = tangent_rows(stage.control, SPACE, 5, 1.0)
     margins = [np.einsum("krai,kai->kr", rows, stage.control) - offsets for rows, offsets in (many, few)]
     for rows, kept in zip(*margins, strict=True):
         np.testing.assert_allclose(np.sort(kept), np.sort(rows)[:5], atol=1e-12)

@@ -13,11 +13,13 @@ from flockopt.geometry.bernstein import (
     piece_states,
 )
 from flockopt.geometry.continuous import curve_clear, farthest_from, first_conflict, least_clearance, least_separation, parked
-from flockopt.geometry.distances import bounding_boxes, distances
+from flockopt.geometry.distances import distances
+from flockopt.geometry.free_space import free_space
 from flockopt.scene import Box, Cylinder, Sphere
 from flockopt.scene.parts import obstacle_table
 
 TOLERANCE_M = 1e-6
+ANYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 
 
 def random_table(rng, count):
@@ -51,12 +53,12 @@ def test_least_clearance_bounds_dense_samples_tightly(seed):
     rng = np.random.default_rng(seed)
     table, curve = random_table(rng, int(rng.integers(1, 20))), random_curve(rng, seed % 8)
     needs = rng.uniform(0, 0.5, len(table))
-    boxes, arrays = bounding_boxes(table), (curve.breakpoints, curve.coefficients)
-    margin, time, obstacle = least_clearance(table, boxes, needs, *arrays, TOLERANCE_M)
+    space, arrays = free_space(table, needs, ANYWHERE), (curve.breakpoints, curve.coefficients)
+    margin, time, obstacle = least_clearance(space, *arrays, TOLERANCE_M)
     gaps = distances(table, curve(sampled(curve))) - needs  # (T, K)
     assert margin <= gaps.min() + 1e-9
     assert margin == pytest.approx((distances(table, curve(time)) - needs)[0, obstacle], abs=2 * TOLERANCE_M)
-    first = curve_clear(table, boxes, needs, *arrays)
+    first = curve_clear(space, *arrays)
     if margin > TOLERANCE_M:
         assert first == -1
     if margin < -TOLERANCE_M:
@@ -64,21 +66,19 @@ def test_least_clearance_bounds_dense_samples_tightly(seed):
 
 
 def test_no_obstacles_leave_an_infinite_margin():
-    table = obstacle_table([])
-    margin, _, obstacle = least_clearance(table, bounding_boxes(table), np.zeros(0), *parked(np.ones(3)), TOLERANCE_M)
+    space = free_space(obstacle_table([]), 0.0, ANYWHERE)
+    margin, _, obstacle = least_clearance(space, *parked(np.ones(3)), TOLERANCE_M)
     assert (margin, obstacle) == (np.inf, -1)
 
 
 def test_a_dip_between_any_samples_is_found():
     # 1 mm into the need for about 4 ms, in a piece that lasts 40 s
-    table = obstacle_table([Sphere("s", (0.0, 0.0, 0.0), 1.0)])
+    space = free_space(obstacle_table([Sphere("s", (0.0, 0.0, 0.0), 1.0)]), 0.1, ANYWHERE)
     curve = Curve([0.0, 40.0], [[[-200.0, 10.0], [1.099, 0.0], [0.0, 0.0]]])
-    margin, time, _ = least_clearance(
-        table, bounding_boxes(table), np.array([0.1]), curve.breakpoints, curve.coefficients, TOLERANCE_M
-    )
+    margin, time, _ = least_clearance(space, curve.breakpoints, curve.coefficients, TOLERANCE_M)
     assert margin == pytest.approx(-1e-3, abs=TOLERANCE_M)
     assert time == pytest.approx(20.0, abs=1e-2)
-    assert curve_clear(table, bounding_boxes(table), np.array([0.1]), curve.breakpoints, curve.coefficients) == 0
+    assert curve_clear(space, curve.breakpoints, curve.coefficients) == 0
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -196,8 +196,8 @@ def test_piece_states_are_the_curve_and_its_derivatives_at_the_breakpoints():
 @pytest.mark.parametrize("scale", [1e6, 1e12, 1e150])
 def test_absurd_curves_end_in_an_answer(scale):
     rng = np.random.default_rng(10)
-    table = obstacle_table([Sphere("s", (0.0, 0.0, 0.0), 1.0)])
+    space = free_space(obstacle_table([Sphere("s", (0.0, 0.0, 0.0), 1.0)]), 1.0, ANYWHERE)
     curve = Curve([0.0, 1e-3, 2.0], rng.normal(size=(2, 3, 8)) * scale)
     arrays = (curve.breakpoints, curve.coefficients)
-    assert np.isfinite(least_clearance(table, bounding_boxes(table), np.ones(1), *arrays, 1e-7)[0])
+    assert np.isfinite(least_clearance(space, *arrays, 1e-7)[0])
     assert np.isfinite(least_separation(*arrays, *parked(np.zeros(3)), np.ones(3), 0.0, 3.0, 1e-7, np.inf)[0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flockopt.geometry import kernels
-from flockopt.geometry.distances import bounding_boxes, distances
+from flockopt.geometry.distances import distances
 from flockopt.scene import Box, Cylinder, Sphere
 from flockopt.scene.parts import obstacle_table
 
@@ -71,16 +71,6 @@ def test_segments_stop_early_only_when_they_may(rng):
             too_little = kernels.segment_distance(row, p, q, np.inf, 0.5)
             assert too_little >= least - 1e-8
             assert too_little <= max(least, 0.5) + 1e-8
-
-
-def test_clear_segments_keep_their_needs(rng):
-    table = random_table(rng)
-    boxes, needs = bounding_boxes(table), rng.uniform(0.0, 0.5, len(table))
-    starts, ends = rng.uniform(-8, 8, (2, 400, 3))
-    least = kernels.segment_distances(table, starts, ends)
-    clear = np.array([kernels.segment_clear(table, boxes, needs, p, q) for p, q in zip(starts, ends, strict=True)])
-    assert 0 < clear.sum() < len(clear)
-    np.testing.assert_array_equal(clear, (least >= needs - kernels.SEGMENT_TOLERANCE_M).all(axis=1))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from learned.teacher.train import main  # noqa: E402
 from learned.teacher.training import scene_pool  # noqa: E402
 from learned.teacher.training.run import Training, final_weights  # noqa: E402
 from learned.teacher.training.scene_pool import POOL_DRONES, POOL_TASKS, ScenePool, build_pool  # noqa: E402
-from learned.teacher.training.settings import TrainingSettings  # noqa: E402
+from learned.teacher.training.settings import AllocatorTrainingSettings  # noqa: E402
 from learned.teacher.training.validation import ValidationSet, optimal_one_task_cost  # noqa: E402
 
 
@@ -36,7 +36,7 @@ def validation():
 
 def tiny(**changes):
     defaults = {"iterations": 12, "batch_size": 16, "num_epochs": 1, "num_minibatches": 2, "width": 16}
-    return TrainingSettings(**{**defaults, **changes})
+    return AllocatorTrainingSettings(**{**defaults, **changes})
 
 
 def trained(settings, pool, folder, validation, **limits):
@@ -132,12 +132,12 @@ def test_an_empty_pool_is_refused(tmp_path):
 )
 def test_settings_are_checked(field, value):
     with pytest.raises(SettingsError, match=f"{field} is"):
-        TrainingSettings(**{field: value})
+        AllocatorTrainingSettings(**{field: value})
 
 
 def test_unknown_settings_are_refused():
     with pytest.raises(SettingsError, match="patience is an unknown key"):
-        TrainingSettings.from_dict({"patience": 3})
+        AllocatorTrainingSettings.from_dict({"patience": 3})
 
 
 def test_the_optimal_one_task_assignment_by_hand():

@@ -12,12 +12,13 @@ from flockopt import SettingsError
 from flockopt.flights.waypoints import leg_clear
 from flockopt.geometry.distances import distances
 from flockopt.scene.families.layouts import FAMILIES
-from learned.demonstrations import __main__ as demonstrations
-from learned.demonstrations.__main__ import DemonstrationSettings, main, make_shard
+from learned.demonstrations import writing as demonstrations
+from learned.demonstrations.__main__ import main
 from learned.demonstrations.array_files import shard_path
 from learned.demonstrations.scenes import SceneMix, blocked_routes, draw_scene, random_bundles
 from learned.demonstrations.shard_runs import ShardRun
 from learned.demonstrations.shards import Demonstrations, load_demonstrations, read_shard, write_shard
+from learned.demonstrations.writing import DemonstrationSettings, demonstration_shards, make_shard
 
 SMALL = ["--scenes", "5", "--family", "forest"]
 
@@ -147,7 +148,7 @@ def test_a_dead_worker_is_replaced(tmp_path, small_shards, monkeypatch):
 
     monkeypatch.setattr(ShardRun, "_round", once_deadly)
     warnings = []
-    demonstrations.write_demonstrations(tmp_path, 5, DemonstrationSettings(SceneMix("forest")), warn=warnings.append)
+    demonstration_shards(tmp_path, DemonstrationSettings(SceneMix("forest"))).go(5, warn=warnings.append)
     assert rounds == [[0, 1, 2], [1, 2], [2]]
     assert len(warnings) == 2
 

@@ -13,12 +13,13 @@ from flockopt.scene.families.generate import generate
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel.compute import compute_travel
 from flockopt.travel.travel import straight_travel
+from learned.networks.shipped import shipped_path
 from tests.instances import random_instance, random_scene
 
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from learned.networks.weight_files import save_weights  # noqa: E402
-from learned.teacher.allocators import ALLOCATORS, WEIGHTS, load_allocator  # noqa: E402 - torch may be missing
+from learned.teacher.allocators import ALLOCATORS, load_allocator  # noqa: E402 - torch may be missing
 from learned.teacher.refinement import refine  # noqa: E402
 from learned.teacher.training.validation import optimal_one_task_cost  # noqa: E402
 
@@ -125,7 +126,7 @@ def test_an_unknown_method_is_refused():
 
 def test_the_weights_of_another_method_are_refused():
     with pytest.raises(SettingsError, match="is for 'magnnet'; must be for 'teacher'"):
-        load_allocator("teacher", WEIGHTS / "magnnet.safetensors")
+        load_allocator("teacher", shipped_path("magnnet"))
 
 
 def test_missing_weights_are_named(tmp_path):
@@ -144,4 +145,4 @@ def test_weights_that_do_not_fit_are_named(tmp_path, tensors, settings, words):
 
 
 def test_shipped_weights_are_small():
-    assert sum((WEIGHTS / f"{method}.safetensors").stat().st_size for method in ("teacher", "magnnet")) < 1_000_000
+    assert sum(shipped_path(method).stat().st_size for method in ("teacher", "magnnet")) < 1_000_000

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned
 from flockopt.flights.smoothing.stages import Stage  # noqa: E402 - torch may be missing
 from learned.demonstrations.timed_shards import NO_PHASE, StageRecord  # noqa: E402
 from learned.smoother.batch import collate_stages, unit_stage  # noqa: E402
-from learned.smoother.frame import (
+from learned.smoother.frame import (  # noqa: E402
     at_phase,
     control_points,
     flat_frames,

@@ -11,11 +11,11 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt import Sphere, generate  # noqa: E402 - torch may be missing
-from flockopt.flights.waypoints import leg_clear, thinned  # noqa: E402
+from flockopt.flights.waypoints import leg_clear  # noqa: E402
+from flockopt.geometry.free_space import free_space, polyline_free  # noqa: E402
+from flockopt.geometry.polylines import thinned  # noqa: E402
 from learned.paths.rollout import anchors_of  # noqa: E402
 from learned.student.legs import choice  # noqa: E402
-from learned.student.legs import clearance
-from learned.student.legs.clearance import obstructions  # noqa: E402
 from learned.student.legs.layout import CLEAR_SHARE, anchor_places  # noqa: E402
 from learned.student.network.leg_frame import leg_frames, sample_features  # noqa: E402
 from learned.student.network.rows import Rows, points_of, rows_of  # noqa: E402
@@ -48,15 +48,16 @@ def wavy_ways(one, count=60):
         yield drone, one.straight[drone, first : first + size] + rng.normal(0.0, spread, (size, 3))
 
 
-def test_clear_and_thinned_are_those_of_the_decoder(one):
-    space, tolerance, num_clear = obstructions(one.scene), 0.05, 0
+def space_of(scene, drone):
+    return scene.free_space(scene.drones[drone].radius + scene.clearance)
+
+
+def test_ways_are_ranked_as_the_decoder_reads_them(one):
+    tolerance, num_clear = 0.05, 0
     for drone, way in wavy_ways(one):
-        expected = thinned(way, tolerance)
-        assert np.array_equal(clearance.thinned(way, tolerance), expected)
-        clear = leg_clear(one.scene, drone, expected)
-        assert clearance.polyline_is_clear(space, drone, expected) == clear
+        clear = leg_clear(one.scene, drone, thinned(way, tolerance))
         metres = np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
-        assert choice.rank(space, drone, way, tolerance) == pytest.approx(metres if clear else np.inf)
+        assert choice.rank(space_of(one.scene, drone), way, tolerance) == pytest.approx(metres if clear else np.inf)
         num_clear += clear
     assert 0 < num_clear < 60
 
@@ -125,25 +126,24 @@ def test_rows_are_drawn_as_whole_batches_are(one, config):
 
 def test_the_shortest_clear_try_is_chosen_leg_by_leg():
     taught = taught_example("forest", drones=6, tasks=12, seed=1)
-    space = obstructions(taught.scene)
     for _, drone in places_of(taught):
+        space = space_of(taught.scene, drone)
         tries = np.stack([taught.straight[drone], taught.target[drone]])
         samples = taught.straight[drone].copy()
         way = taught.leg_end[drone], taught.blocked[drone]
-        assert choice.best_legs(space, drone, *way, samples, tries, 0.05)
+        assert choice.best_legs(space, *way, samples, tries, 0.05)
         assert np.array_equal(samples[taught.blocked[drone]], taught.target[drone][taught.blocked[drone]])
-        assert not choice.best_legs(space, drone, *way, samples, tries[:1], 0.05)
+        assert not choice.best_legs(space, *way, samples, tries[:1], 0.05)
 
 
 def test_a_taut_leg_that_thinning_would_cut_into_an_obstacle_keeps_its_corners():
     """The corner of the taut way is nearer to the chord than the decoder keeps; the drawn way swings out farther."""
     need = 0.2
     table = np.array([[2.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 1.0, 0.0]])  # a sphere
-    boxes = np.array([[[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]]])
-    space = clearance.Obstructions(table, boxes, np.full((1, 1), need), np.full(3, -9.0), np.full(3, 9.0))
+    space = free_space(table, need, (np.full(3, -9.0), np.full(3, 9.0)))
     drawn = np.array([[-3.0, 0.68, 0.0], [0.0, 0.8, 0.0], [1.0, 0.75, 0.0], [3.0, 0.68, 0.0]])
     samples, tolerance = drawn.copy(), 0.1
-    taut = choice.pulled(space, 0, drawn)
-    assert not clearance.polyline_is_clear(space, 0, clearance.thinned(taut, tolerance))
-    choice.pull_legs(space, 0, np.full(4, 3), np.ones(4, dtype=np.bool_), samples, tolerance)
-    assert clearance.polyline_is_clear(space, 0, clearance.thinned(samples, tolerance))
+    taut = choice.pulled(space, drawn)
+    assert not polyline_free(space, thinned(taut, tolerance))
+    choice.pull_legs(space, np.full(4, 3), np.ones(4, dtype=np.bool_), samples, tolerance)
+    assert polyline_free(space, thinned(samples, tolerance))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
+
 from flockopt import MissingExtra, SettingsError  # noqa: E402 - torch may be missing
-from learned.student.backends.choice import BACKENDS, VARIABLE, chosen_backend, network  # noqa: E402
+from learned.student.backends.choice import BACKENDS, loaded, network  # noqa: E402
 from learned.student.backends.compiled_files import CompiledFiles, digest_of  # noqa: E402
 from learned.student.backends.graphs import TracedStudent  # noqa: E402
 from learned.student.backends.openvino import OpenVinoStudent  # noqa: E402
@@ -70,23 +72,27 @@ def test_files_are_whole_of_this_student_or_not_there(tmp_path):
     CompiledFiles(tmp_path / "file" / "folder", "digest").write("head", b"a graph")  # nowhere to keep it: no error
 
 
-def test_the_environment_chooses(monkeypatch):
-    monkeypatch.delenv(VARIABLE, raising=False)
-    assert chosen_backend() == "torch"
-    monkeypatch.setenv(VARIABLE, "openvino-bf16")
-    assert chosen_backend() == "openvino-bf16"
-    monkeypatch.setenv(VARIABLE, "cuda")
-    with pytest.raises(SettingsError, match=rf"{VARIABLE} is 'cuda'.*{BACKENDS[-1]}"):
-        chosen_backend()
+def test_what_computes_and_which_weights_can_be_read_off(tmp_path):
+    path = tmp_path / "weights.safetensors"
+    path.write_bytes(b"weights")
+    small, paper, digest = tiny_student("small"), tiny_student("paper"), hashlib.sha256(b"weights").hexdigest()
+    for student, backend, used in ((small, None, "torch"), (paper, None, "torch-eager"), (small, "torch-eager", "torch-eager")):
+        found = loaded(student, path, backend)
+        assert (found.backend, found.digest) == (used, digest)
+        assert found.network is network(student, used)
+    with pytest.raises(SettingsError, match=rf"backend is 'cuda'; must be one of torch, .*{BACKENDS[-1]}"):
+        loaded(small, path, "cuda")
+    with pytest.raises(SettingsError, match=r"gone\.safetensors cannot be read"):
+        loaded(small, tmp_path / "gone.safetensors")
 
 
 def test_each_backend_takes_what_it_can():
     small, paper = tiny_student("small"), tiny_student("paper")
     assert isinstance(network(small, "torch"), TracedStudent)
     assert network(small, "torch-eager") is small
-    assert network(paper, "torch") is paper
-    with pytest.raises(SettingsError, match="fleet attention"):
-        network(paper, "openvino-f32")
+    for backend in ("torch", "openvino-f32"):
+        with pytest.raises(SettingsError, match="fleet attention"):
+            network(paper, backend)
     with pytest.raises(SettingsError, match="precision is 'f16'"):
         OpenVinoStudent(small, "f16")
 

@@ -13,11 +13,11 @@ torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned
 
 from flockopt import SettingsError  # noqa: E402 - torch may be missing
 from flockopt.flights.waypoints import leg_clear  # noqa: E402
-from learned.demonstrations.__main__ import DemonstrationSettings, write_demonstrations  # noqa: E402
 from learned.demonstrations.scenes import SceneMix  # noqa: E402
+from learned.demonstrations.writing import DemonstrationSettings, demonstration_shards  # noqa: E402
 from learned.networks import training as learner  # noqa: E402
 from learned.networks.diffusion import add_noise, ddim, noise_levels, signal_levels  # noqa: E402
-from learned.networks.training import LAST_RATE, rate_at  # noqa: E402
+from learned.networks.schedule import LAST_RATE, Schedule  # noqa: E402
 from learned.student import loss as loss_module  # noqa: E402
 from learned.student import train  # noqa: E402
 from learned.student.checkpoint import STORAGES, load_student, save_student  # noqa: E402
@@ -33,7 +33,7 @@ from learned.student.scenes.batch import collate  # noqa: E402
 from learned.student.scenes.examples import example, with_ways  # noqa: E402
 from learned.student.settings import CONFIGS  # noqa: E402
 from learned.student.train import Trainer  # noqa: E402
-from learned.student.training_settings import TrainingSettings  # noqa: E402
+from learned.student.training_settings import StudentTrainingSettings  # noqa: E402
 from tests.student_scenes import TINY, random_routes, taught_example, tiny_student  # noqa: E402
 
 
@@ -47,7 +47,7 @@ def tiny(monkeypatch):
 def demonstrations(tmp_path_factory):
     """A folder with some demonstrations."""
     folder = tmp_path_factory.mktemp("demonstrations")
-    write_demonstrations(folder, 6, DemonstrationSettings(SceneMix(family="forest", usual_share=1.0), seed=3))
+    demonstration_shards(folder, DemonstrationSettings(SceneMix(family="forest", usual_share=1.0), seed=3)).go(6)
     return folder
 
 
@@ -112,7 +112,9 @@ def test_bad_numbers_of_steps_are_named(steps):
 @pytest.mark.parametrize("config", ["paper", "small", "small-regression"])
 def test_a_tiny_network_overfits_eight_scenes(config, tiny, monkeypatch):
     examples = [taught_example("forest", drones=2, tasks=4, seed=seed) for seed in range(8)]
-    settings = TrainingSettings(config, steps=100, scenes_per_step=8, learning_rate=1e-2, warmup_steps=10, clearance_weight=0.0)
+    settings = StudentTrainingSettings(
+        config=config, steps=100, scenes_per_step=8, learning_rate=1e-2, warmup_steps=10, clearance_weight=0.0
+    )
     trainer = Trainer(settings, examples)
     monkeypatch.setattr(train.FleetBatch, "mirrored", lambda batch, generator: batch)  # eight scenes, not sixty-four
     losses = [trainer.advance() for _ in range(settings.steps)]
@@ -145,7 +147,8 @@ def test_regression_is_trained_and_asked_without_noise(tiny):
 
 
 def test_the_learning_rate_rises_and_then_falls():
-    rates = [rate_at(step, steps=100, warmup_steps=10) for step in range(101)]
+    schedule = Schedule(steps=100, warmup_steps=10, learning_rate=1.0, ema_decay=0.9)
+    rates = [schedule.rate_at(step) for step in range(101)]
     assert rates[0] == 0.1 and rates[9] == max(rates) == 1.0
     assert rates[10:] == sorted(rates[10:], reverse=True) and rates[100] == pytest.approx(LAST_RATE)
 
@@ -185,14 +188,14 @@ def test_filling_up_the_drones_changes_nothing(monkeypatch):
 def test_a_step_without_blocked_drones_teaches_allocation_only(tiny):
     scene = dataclasses.replace(taught_example("forest").scene, obstacles=())
     one = with_ways(example(scene, random_routes(scene, 0)), [[]] * scene.num_drones)
-    terms = Trainer(TrainingSettings(steps=1, scenes_per_step=2, clearance_from=0.0), [one]).advance()
+    terms = Trainer(StudentTrainingSettings(steps=1, scenes_per_step=2, clearance_from=0.0), [one]).advance()
     assert terms["diffusion"] == terms["clearance"] == 0.0 < terms["allocation"]
 
 
 def test_a_step_in_bfloat16_is_nearly_one_in_float32(tiny):
     examples = [taught_example("forest", drones=3, tasks=9, seed=seed) for seed in range(2)]
     one, other = (
-        Trainer(TrainingSettings(steps=1, scenes_per_step=2, precision=precision), examples).advance()
+        Trainer(StudentTrainingSettings(steps=1, scenes_per_step=2, precision=precision), examples).advance()
         for precision in ("float32", "bfloat16")
     )
     assert one["total"] != other["total"] == pytest.approx(one["total"], rel=0.05)
@@ -286,9 +289,9 @@ def test_missing_data_is_named(tmp_path, capsys):
 )
 def test_bad_training_settings_are_named(field, value):
     with pytest.raises(SettingsError, match=field):
-        TrainingSettings(**{field: value})
+        StudentTrainingSettings(**{field: value})
 
 
 def test_the_clearance_penalty_begins_with_fine_tuning():
-    settings = dataclasses.replace(TrainingSettings(), steps=10, clearance_from=0.5)
+    settings = dataclasses.replace(StudentTrainingSettings(), steps=10, clearance_from=0.5)
     assert [settings.loss_weights(step).clearance > 0.0 for step in (0, 4, 5, 9)] == [False, False, True, True]

@@ -11,7 +11,7 @@ from flockopt import SettingsError
 from learned.demonstrations import timed
 from learned.demonstrations.array_files import shard_path
 from learned.demonstrations.scenes import SceneMix
-from learned.demonstrations.timed import TimedSettings, main, make_shard, write_timed
+from learned.demonstrations.timed import TimedSettings, main, make_shard, timed_shards
 from learned.demonstrations.timed_shards import NO_PHASE, load_stages, read_shard, write_shard
 
 SETTINGS = TimedSettings(SceneMix("forest", hard_share=0.0, usual_share=1.0, margin=0.0), seed=3)
@@ -36,10 +36,10 @@ def test_stages_are_smoothed_between_the_same_ends_and_past_the_same_tasks(array
 
 def test_a_run_goes_on_and_gives_the_same_bytes(monkeypatch, tmp_path):
     monkeypatch.setattr(timed, "SHARD_SCENES", 1)
-    write_timed(tmp_path / "clean", 2, SETTINGS)
+    timed_shards(tmp_path / "clean", SETTINGS).go(2)
     clean = [path.read_bytes() for path in sorted((tmp_path / "clean").glob("shard-*.npz"))]
-    write_timed(tmp_path / "more", 1, SETTINGS)
-    write_timed(tmp_path / "more", 2, SETTINGS)
+    timed_shards(tmp_path / "more", SETTINGS).go(1)
+    timed_shards(tmp_path / "more", SETTINGS).go(2)
     assert [path.read_bytes() for path in sorted((tmp_path / "more").glob("shard-*.npz"))] == clean
     assert len(clean) == 2
 

@@ -10,7 +10,6 @@ import pytest
 
 from flockopt import Curve, Flight, Scene, SceneError, Visit, export, plan
 from flockopt.outputs.devices.geodesy import local
-from flockopt.outputs.devices.qgroundcontrol import COARSEST_M, way_points
 
 COMMANDS = {"waypoint": 16, "loiter": 17, "land": 21, "takeoff": 22, "speed": 178}
 
@@ -183,15 +182,6 @@ def test_ids_that_make_no_file_name_do_not_fit(placed, tmp_path):
     )
     assert "../d0" in outcome.misfits[0]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_way_points_of_a_circle():
-    angles = np.linspace(0, 2 * np.pi, 2000)
-    circle = 5 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    kept = way_points(circle, COARSEST_M)
-    assert 12 <= len(kept) <= 40
-    middles = (kept[1:] + kept[:-1]) / 2
-    assert (5 - np.linalg.norm(middles, axis=1)).max() <= COARSEST_M + 1e-3
 
 
 def test_the_command_line(placed, flockopt, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from flockopt import Box, Bundles, Cylinder, Plan, SettingsError, Sphere, compute_travel, generate, plan
 from flockopt.geometry.distances import distances
 from flockopt.planning.margins import margins, roomier
-from flockopt.planning.planners import PLANNERS, Proposal
+from flockopt.planning.planners import Planner, Proposal
 from flockopt.travel import START
 from tests.flights import drone, in_order, make_scene
 
@@ -114,11 +114,11 @@ def test_parked_drones_that_stand_closer_than_the_margin_do_not_cost_the_certifi
     assert 0.0 <= margin_of(made, "separation") < 2 * MARGIN_M
 
 
-def test_faults_of_the_allocation_do_not_take_the_margin(monkeypatch):
+def test_faults_of_the_allocation_do_not_take_the_margin():
     """A planner that leaves a task out: no other margin would serve it."""
     scene = make_scene([drone(0, (1, 5, 1.2))], [(9, 5, 1.2), (9, 8, 1)], (PILLAR,))
-    monkeypatch.setitem(PLANNERS, "forgetful", lambda request: Proposal(Bundles(((0,),), ((1, "forgotten"),))))
-    made = plan(scene, planner="forgetful", tracking_margin_m=MARGIN_M)
+    forgetful = Planner(lambda request: Proposal(Bundles(((0,),), ((1, "forgotten"),))), "forgetful")
+    made = plan(scene, planner=forgetful, tracking_margin_m=MARGIN_M)
     assert [clause.name for clause in made.certificate.failed] == ["coverage"]
     assert margin_of(made, "clearance") >= MARGIN_M
 
@@ -171,7 +171,7 @@ def test_flown_positions_keep_what_the_scene_asks():
         execute(scene, plan(scene, planner="classical", seed=6, bound="fast", tracking_margin_m=margin_m))
         for margin_m in (0.0, MARGIN_M)
     )
-    assert bare.outcome.min_clearance < scene.clearance + 0.01
-    assert kept.outcome.min_clearance > scene.clearance + 0.5 * MARGIN_M
-    assert kept.outcome.min_separation > scene.separation
-    assert kept.outcome.max_tracking_error < MARGIN_M
+    assert bare.measures.min_clearance < scene.clearance + 0.01
+    assert kept.measures.min_clearance > scene.clearance + 0.5 * MARGIN_M
+    assert kept.measures.min_separation > scene.separation
+    assert kept.measures.max_tracking_error < MARGIN_M

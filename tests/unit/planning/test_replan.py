@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from flockopt import Cylinder, SceneError, SettingsError, Task, certify, generate, plan, replan
+from flockopt.planning import replan as replan_module
 from flockopt.planning.replan import Changes
 from tests.flights import drone, make_scene
 

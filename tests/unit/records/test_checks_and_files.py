@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 import stat
@@ -9,7 +10,7 @@ import stat
 import numpy as np
 import pytest
 
-from flockopt.errors import PlanError, SceneError
+from flockopt.errors import PlanError, SceneError, SettingsError
 from flockopt.records import checks, files
 
 
@@ -50,6 +51,48 @@ def test_points_have_three_numbers():
         checks.point(SceneError, "p", [0, math.nan, 0])
 
 
+@pytest.mark.parametrize("value", [-0.1, 1.1, math.nan, True, "0.5"])
+def test_shares_are_from_0_to_1(value):
+    assert [checks.share(SceneError, "x", share) for share in (0, 0.5, 1.0)] == [0.0, 0.5, 1.0]
+    with pytest.raises(SceneError, match="x is "):
+        checks.share(SceneError, "x", value)
+
+
+def test_flags_are_true_or_false():
+    assert checks.flag(SceneError, "x", True) is True
+    for value in (1, 0, "true", None, [True]):
+        with pytest.raises(SceneError, match=r"x is .*; must be true or false"):
+            checks.flag(SceneError, "x", value)
+
+
+def test_choices_are_among_what_is_known():
+    assert checks.choice(SceneError, "law", "quintic", known={"quintic": 1}) == "quintic"
+    for value in ("cubic", None, ["quintic"], {}, 1):
+        with pytest.raises(SceneError, match=r"law is .*; must be one of quintic, ruckig; choose one"):
+            checks.choice(SceneError, "law", value, known=("quintic", "ruckig"))
+
+
+def test_what_is_checked_is_stored():
+    @dataclasses.dataclass(frozen=True)
+    class Settings:
+        width: int = 128
+        heads: int = 4
+        rate: float = 1.0
+
+        def __post_init__(self):
+            checks.store(self, checks.integer, SettingsError, "width", "heads", least=1)
+            checks.store(self, checks.number, SettingsError, "rate", above=0.0)
+
+    made = Settings(128.0, np.int64(4), np.float32(0.5))
+    assert [type(value) for value in dataclasses.astuple(made)] == [int, int, float]
+    assert made == Settings(128, 4, 0.5)
+    with pytest.raises(SettingsError, match=r"heads is 0; must be an integer >= 1"):
+        Settings(heads=0)
+    with pytest.raises(SettingsError, match="wdth is an unknown key; did you mean width"):
+        checks.from_keys(SettingsError, Settings, {"wdth": 64})
+    assert checks.from_keys(SettingsError, Settings, {"width": 64}) == Settings(64)
+
+
 def test_text_is_unicode_and_not_empty():
     assert checks.text(SceneError, "id", "Żółw 7") == "Żółw 7"
     for value in ("", 7, None, "\ud800"):
@@ -63,8 +106,17 @@ def test_keys_are_exactly_the_known_ones():
         checks.keys(SceneError, {"b": 1}, ("a",), ("b",))
     with pytest.raises(SceneError, match="colour is an unknown key; known keys are a, b"):
         checks.keys(SceneError, {"a": 1, "colour": 2}, ("a",), ("b",))
+    with pytest.raises(SceneError, match=r"^7 is an unknown key; known keys are a"):
+        checks.keys(SceneError, {7: 1}, ("a",))
     with pytest.raises(SceneError, match="must be an object"):
         checks.keys(SceneError, [], ("a",))
+
+
+def test_a_misspelt_key_is_told_before_the_one_that_it_leaves_missing():
+    with pytest.raises(SceneError) as caught:
+        checks.keys(SceneError, {"id": "d0", "capcity": 2}, ("id", "capacity"))
+    words = "capcity is an unknown key; did you mean capacity? known keys are id, capacity; remove it or correct its spelling"
+    assert str(caught.value) == words
 
 
 def test_errors_in_lists_carry_the_index():

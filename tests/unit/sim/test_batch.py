@@ -19,10 +19,12 @@ pytest.importorskip("pybullet", reason="pybullet comes with the extra 'sim'")
 
 from flockopt import MissingExtra, SettingsError
 from flockopt.batches.backends import BACKENDS, open_backend
+from flockopt.records.status import PLAN_STATUSES
 from sim import evaluate
 from sim.trials.batch import MOST_DEATHS, run_batch
 from sim.trials.journal import ROWS, Journal
-from sim.trials.summary import flawless
+from sim.trials.status import TrialStatus
+from sim.trials.summary import flawless, summary_text
 from sim.trials.trial import COLUMNS, Result, Trial, run_trial
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -95,6 +97,29 @@ def test_what_flockopt_refuses_becomes_a_row():
     assert "planner is 'nobody'" in result.row["failed"]
     assert result.row["execution_completion"] == 0.0
     assert set(result.row) == set(COLUMNS)
+
+
+def test_every_status_says_what_it_means_and_what_to_do():
+    assert set(PLAN_STATUSES) < set(TrialStatus)
+    for status in TrialStatus:
+        assert status.text
+        assert bool(status.mend) is (status is not TrialStatus.CERTIFIED)
+    with pytest.raises(ValueError, match="'lost'"):
+        TrialStatus("lost")
+
+
+def test_the_journal_and_the_table_keep_the_words_of_statuses(tmp_path):
+    result = run_trial(replace(FIRST, planner="nobody"))
+    with Journal(tmp_path, {}) as journal:
+        journal.add(result)
+        journal.write_tables([result.key])
+    with Journal(tmp_path, {}) as journal:
+        row = journal.results[result.key].row
+    assert (row["status"], type(row["status"])) == ("error", str)
+    assert (tmp_path / "flights.csv").read_text().splitlines()[1].split(",")[2] == "error"
+    last = summary_text("", [row], [result.timing]).splitlines()[-1]
+    assert last.startswith(f"- {result.key}: error SettingsError: planner is 'nobody'")
+    assert last.endswith(TrialStatus.ERROR.mend)
 
 
 def test_evaluate_writes_what_it_says(tmp_path, capsys):

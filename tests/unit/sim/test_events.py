@@ -7,7 +7,8 @@ import pytest
 
 from flockopt import SettingsError, generate, plan
 from sim.mission import events as events_module
-from sim.mission.events import KINDS, DroneLate, DroneLost, EventSettings, Gust, TaskAdded, TaskRemoved, schedule
+from sim.mission.events import KINDS, DroneLate, DroneLost, EventSettings, TaskAdded, TaskRemoved, schedule
+from sim.mission.wind import Gust
 from tests.flights import drone, make_scene
 
 TYPES = {"added": TaskAdded, "removed": TaskRemoved, "lost": DroneLost, "late": DroneLate, "gust": Gust}

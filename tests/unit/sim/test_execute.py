@@ -42,13 +42,13 @@ def forged(scene, made, **changes):
 
 
 def test_a_certified_plan_is_flown_whole(small, flown):
-    outcome = flown.outcome
-    assert sorted(outcome.served) == sorted(task.id for task in small[0].tasks)
-    assert (outcome.completion, flown.touches) == (1.0, ())
-    assert outcome.mean_tracking_error < 0.01
-    assert outcome.max_tracking_error < 0.03
-    assert outcome.min_clearance > small[0].clearance - outcome.max_tracking_error
-    assert outcome.min_separation > small[0].separation - 2 * outcome.max_tracking_error
+    measures = flown.measures
+    assert sorted(measures.served) == sorted(task.id for task in small[0].tasks)
+    assert (measures.completion, flown.touches) == (1.0, ())
+    assert measures.mean_tracking_error < 0.01
+    assert measures.max_tracking_error < 0.03
+    assert measures.min_clearance > small[0].clearance - measures.max_tracking_error
+    assert measures.min_separation > small[0].separation - 2 * measures.max_tracking_error
     assert (flown.energy > 0).all()
 
 
@@ -69,13 +69,13 @@ def test_flights_repeat_to_the_last_bit(small, flown):
 )
 def test_other_ways_to_fly_serve_everything_too(small, settings):
     flight = execute(*small, FlightSettings(**settings))
-    assert flight.outcome.completion == 1.0
-    assert flight.outcome.max_tracking_error < 0.03
+    assert flight.measures.completion == 1.0
+    assert flight.measures.max_tracking_error < 0.03
 
 
 def test_mellinger_lags_behind(small, flown):
     flight = execute(*small, FlightSettings(controller="mellinger", vehicle="cf2x_L250"))
-    assert flight.outcome.max_tracking_error > 2 * flown.outcome.max_tracking_error
+    assert flight.measures.max_tracking_error > 2 * flown.measures.max_tracking_error
 
 
 @pytest.mark.parametrize("shape", world.SHAPES)
@@ -88,7 +88,7 @@ def test_running_into_an_obstacle_is_a_contact(obstacle, shape):
     scene = free.replace(obstacles=(obstacle,))
     flight = execute(scene, forged(scene, made), FlightSettings(shape=shape), force=True)
     assert (flight.touches[0].drone, flight.touches[0].other) == ("d0", obstacle.id)
-    assert flight.outcome.min_clearance < 0.01
+    assert flight.measures.min_clearance < 0.01
     assert np.isfinite(flight.states).all()
 
 
@@ -98,7 +98,7 @@ def test_drones_that_meet_are_a_contact():
     scene = make_scene([drone(0, (2, 5, 1)), drone(1, (5, 5, 1), capacity=0)], [(8, 5, 1)])
     flight = execute(scene, forged(scene, made), force=True)
     assert {(touch.drone, touch.other) for touch in flight.touches} & {("d0", "d1"), ("d1", "d0")}
-    assert flight.outcome.min_separation < 0.25
+    assert flight.measures.min_separation < 0.25
 
 
 def test_plans_that_do_not_hold_are_refused(small):
@@ -143,10 +143,10 @@ def test_a_task_counts_only_while_its_drone_stays(small):
     index = [d.id for d in scene.drones].index(name)
     astray = ideal.copy()
     astray[(times > visit.time + 0.5) & (times < visit.time + 0.6), index, 2] += 0.11
-    outcome = measure(scene, made.flights, times, astray, 0.1)
-    assert list(outcome.missed) == ["hold"]
-    assert outcome.missed["hold"] == pytest.approx(0.11, abs=1e-3)
-    assert outcome.max_tracking_error == pytest.approx(0.11, abs=1e-9)
+    measures = measure(scene, made.flights, times, astray, 0.1)
+    assert list(measures.missed) == ["hold"]
+    assert measures.missed["hold"] == pytest.approx(0.11, abs=1e-3)
+    assert measures.max_tracking_error == pytest.approx(0.11, abs=1e-9)
     short = times < visit.time + 0.5
     assert "hold" not in measure(scene, made.flights, times[short], ideal[short], 0.1).served
 

@@ -17,12 +17,17 @@ import pytest
 pytest.importorskip("pybullet", reason="pybullet comes with the extra 'sim'")
 pytest.importorskip("viser", reason="viser comes with the extra 'live'")
 
-from flockopt import Box, Cylinder, SceneError, SettingsError, generate, plan
+import viser
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from flockopt import Box, Cylinder, SceneError, SettingsError, SolverFailed, generate, plan
 from sim.live import __main__ as live
-from sim.live import page
-from sim.live.page import HOST, Page
+from sim.live import page as page_module
+from sim.live.page import Page
 from sim.live.picking import first_hit, typed_point
-from sim.live.session import Session
+from sim.live.serving import HOST, local_server
+from sim.live.session import MOST_SPEED, Session
 from sim.live.text import log_text, status_text, verdict_text
 from tests.flights import drone, make_scene
 
@@ -150,6 +155,8 @@ def test_bad_orders_are_refused_and_change_nothing(session):
         session.kill(next(iter(session.view().drones)))
     with pytest.raises(SettingsError, match="speed is 0"):
         session.speed = 0.0
+    with pytest.raises(SettingsError, match="speed is 100000; must be at most 8"):
+        session.speed = 1e5
     with pytest.raises(SettingsError, match="seconds is 0"):
         session.blow((1.0, 0.0, 0.0), seconds=0.0)
     assert states(session.view()).keys() == before.keys()
@@ -220,6 +227,54 @@ def _addresses():
         return []
 
 
+def connected(page, origin):
+    """What a websocket of the page is told first, from a page of ``origin``."""
+    port = page.server.get_port()
+    with connect(
+        f"ws://{HOST}:{port}", origin=origin and origin.format(port=port), subprotocols=[f"viser-v{viser.__version__}"]
+    ) as socket:
+        return socket.recv(timeout=10)
+
+
+@pytest.mark.parametrize("origin", ["http://127.0.0.1:{port}", "http://localhost:{port}", None])
+def test_the_page_itself_is_served(page, origin):
+    page.refresh()
+    assert connected(page, origin)
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "https://evil.example",
+        "http://evil.example:{port}",
+        "http://127.0.0.1:1",
+        "http://127.0.0.1:{port}.evil.example",
+        "null",
+    ],
+)
+def test_other_pages_are_refused(page, origin):
+    with pytest.raises(InvalidStatus, match="403"):
+        connected(page, origin)
+
+
+def test_a_viser_that_cannot_be_guarded_is_not_used(monkeypatch):
+    stopped = []
+    server = SimpleNamespace(stop=lambda: stopped.append(True))
+    monkeypatch.setattr(viser, "ViserServer", lambda **settings: server)
+    with pytest.raises(SolverFailed, match="whom to listen to"):
+        local_server(0, "test")
+    assert stopped == [True]
+
+
+def test_sliders_stay_within_their_ends_whatever_is_sent(page, session):
+    slider = next(handle for handle in page.server.gui._gui_input_handle_from_uuid.values() if handle.label == "Speed")
+    for sent, taken in ((1e5, MOST_SPEED), (-1.0, 0.1), (2.0, 2.0)):
+        slider.value = sent
+        assert (session.speed, slider.value) == (taken, taken)
+    slider.value = float("nan")
+    assert session.speed == 2.0
+
+
 def test_the_page_shows_the_session(page, session, planned):
     page.refresh()
     fly(session, 1.0)
@@ -245,7 +300,7 @@ def test_what_is_refused_is_told_to_whoever_asked():
     def order(event):
         raise SettingsError("place", "is 'x'", "must be three numbers")
 
-    page._order(order)(event)
+    page_module._order(order)(event)
     assert told == [("Refused", "place is 'x'; must be three numbers")]
 
 
@@ -253,7 +308,8 @@ def test_what_is_refused_is_told_to_whoever_asked():
     ("options", "words"),
     [
         (["missing.json"], "missing.json cannot be read"), (["scene.json", "--port", "70000"], "port is 70000"),
-        (["scene.json", "--speed", "0"], "speed is 0"), (["scene.json", "--spare", "-1"], "spare is -1"),
+        (["scene.json", "--speed", "0"], "speed is 0"), (["scene.json", "--speed", "9"], "speed is 9; must be at most 8"),
+        (["scene.json", "--spare", "-1"], "spare is -1"),
         (["scene.json", "--planner", "oracle"], "planner is 'oracle'"),
     ],
 )  # fmt: skip

@@ -10,10 +10,11 @@ import pytest
 pytest.importorskip("pybullet", reason="pybullet comes with the extra 'sim'")
 
 from flockopt import Changes, Cylinder, SceneError, SettingsError, Task, certify, plan
-from sim.mission import mission as mission_module
-from sim.mission.events import DroneLate, DroneLost, Gust, TaskAdded, TaskRemoved
+from sim.mission import orders
+from sim.mission.events import DroneLate, DroneLost, TaskAdded, TaskRemoved
 from sim.mission.execute import execute
 from sim.mission.mission import Mission
+from sim.mission.wind import Gust
 from sim.physics.settings import FlightSettings
 from tests.flights import drone, make_scene
 
@@ -57,15 +58,15 @@ def test_a_lost_drone_leaves_the_world_and_others_serve_its_tasks(flying):
         mission.advance(1.0)
         answer = mission.strike(DroneLost(1.0, lost))
         assert answer.plan.status == "certified"
-        assert lost not in mission.positions()
+        assert lost not in mission.state.positions
         outcome = mission.finish()
     column = [record.id for record in scene.drones].index(lost)
     there = np.isfinite(outcome.flight.positions[:, column]).all(axis=1)
     assert there.sum() == np.ceil(240 * 1.0) + 1
     assert there[: there.sum()].all()
-    assert outcome.flight.outcome.completion == 1.0
-    assert outcome.flight.outcome.max_tracking_error < 0.03
-    assert outcome.flight.outcome.min_separation > scene.separation - 0.06
+    assert outcome.flight.measures.completion == 1.0
+    assert outcome.flight.measures.max_tracking_error < 0.03
+    assert outcome.flight.measures.min_separation > scene.separation - 0.06
     assert outcome.flight.energy[column] > 0.0
     assert flawless(outcome)
 
@@ -81,7 +82,7 @@ def test_what_a_lost_drone_would_have_served_until_the_swap_is_open_again(flying
         assert answer.swap_s > first.time
         assert first.task in {task.id for task in answer.scene.tasks}
         outcome = mission.finish()
-    assert outcome.flight.outcome.completion == 1.0
+    assert outcome.flight.measures.completion == 1.0
     assert flawless(outcome)
 
 
@@ -94,9 +95,9 @@ def test_tasks_come_and_go(flying):
         mission.advance(1.5)
         mission.strike(TaskRemoved(1.5, removed))
         outcome = mission.finish()
-        assert mission.strike(TaskRemoved(mission.now_s, "new")) is None  # it is served already
-    assert outcome.flight.outcome.completion == 1.0
-    assert set(outcome.flight.outcome.served) == {task.id for task in scene.tasks} - {removed} | {"new"}
+        assert mission.strike(TaskRemoved(mission.state.now_s, "new")) is None  # it is served already
+    assert outcome.flight.measures.completion == 1.0
+    assert set(outcome.flight.measures.served) == {task.id for task in scene.tasks} - {removed} | {"new"}
     assert len(outcome.swapped) == 2
     assert flawless(outcome)
 
@@ -109,7 +110,7 @@ def test_drones_fly_on_through_a_swap(flying):
         outcome = mission.finish()
     speeds = np.linalg.norm(np.diff(outcome.flight.velocities, axis=0), axis=2) * 240.0
     assert speeds.max() < 2.0 * max(record.max_acceleration for record in scene.drones)
-    assert outcome.flight.outcome.max_tracking_error < 0.02
+    assert outcome.flight.measures.max_tracking_error < 0.02
     assert list(outcome.flight.flights) == [record.id for record in scene.drones]
 
 
@@ -120,12 +121,12 @@ def test_one_answer_to_two_changes_before_the_swap(flying):
         mission.replan(Changes(lost=(longest(made),)))
         mission.advance(1.2)
         second = mission.replan(Changes(added=(Task("new", (6.0, 2.0, 1.0)),)))
-        assert mission.pending is second
+        assert mission.state.pending is second
         assert longest(made) not in second.plan.routes
         outcome = mission.finish()
     assert outcome.swapped == (second,)
-    assert "new" in outcome.flight.outcome.served
-    assert outcome.flight.outcome.completion == 1.0
+    assert "new" in outcome.flight.measures.served
+    assert outcome.flight.measures.completion == 1.0
     assert flawless(outcome)
 
 
@@ -134,37 +135,39 @@ def test_a_drone_that_is_late_stays_where_it_is_until_it_can_set_off(flying):
     late = longest(made)
     with Mission(scene, made) as mission:
         mission.strike(DroneLate(0.0, late, 2.0))
-        assert mission.swaps == 1  # nobody flies yet, so there is nothing to be flown on
+        assert len(mission.state.swapped) == 1  # nobody flies yet, so there is nothing to be flown on
         mission.advance(1.0)
         mission.strike(TaskAdded(1.0, Task("new", (6.0, 2.0, 1.0))))
         mission.advance(1.99)
-        away = np.linalg.norm(mission.positions()[late] - next(record.start for record in scene.drones if record.id == late))
+        away = np.linalg.norm(
+            mission.state.positions[late] - next(record.start for record in scene.drones if record.id == late)
+        )
         outcome = mission.finish()
     assert away < 1e-3
-    assert outcome.flight.outcome.completion == 1.0
+    assert outcome.flight.measures.completion == 1.0
     assert flawless(outcome)
 
 
 def test_a_change_without_a_certified_answer_is_refused_and_listed(flying, monkeypatch):
     scene, made = flying
-    real = mission_module.replan
+    real = orders.replan
 
     def uncertified(*arguments, **settings):
         answer = real(*arguments, **settings)
         return replace(answer, plan=replace(answer.plan, status="uncertified"), unserved={})
 
-    monkeypatch.setattr(mission_module, "replan", uncertified)
+    monkeypatch.setattr(orders, "replan", uncertified)
     lost = longest(made)
     with Mission(scene, made) as mission:
         mission.advance(1.0)
         mission.strike(TaskAdded(1.0, Task("new", (6.0, 2.0, 1.0))))
-        assert "no certified plan" in mission.unserved["new"]
+        assert "no certified plan" in mission.state.unserved["new"]
         mission.strike(DroneLost(1.0, lost))
         outcome = mission.finish()
     others = {task for name, route in made.routes.items() if name != lost for task in route}
-    assert others <= set(outcome.flight.outcome.served)
+    assert others <= set(outcome.flight.measures.served)
     assert outcome.swapped == ()
-    assert set(outcome.unserved) == {"new"} | {task.id for task in scene.tasks} - set(outcome.flight.outcome.served)
+    assert set(outcome.unserved) == {"new"} | {task.id for task in scene.tasks} - set(outcome.flight.measures.served)
     assert flawless(outcome)
 
 
@@ -173,9 +176,9 @@ def test_a_pending_plan_outlives_a_change_that_is_refused(flying, monkeypatch):
     with Mission(scene, made) as mission:
         mission.advance(1.0)
         first = mission.replan(Changes(added=(Task("new", (6.0, 2.0, 1.0)),)))
-        real = mission_module.replan
+        real = orders.replan
         monkeypatch.setattr(
-            mission_module,
+            orders,
             "replan",
             lambda *a, **k: replace(real(*a, **k), plan=replace(first.plan, status="uncertified"), unserved={"other": "why"}),
         )
@@ -183,23 +186,23 @@ def test_a_pending_plan_outlives_a_change_that_is_refused(flying, monkeypatch):
         outcome = mission.finish()
     assert outcome.swapped == (first,)
     assert outcome.unserved == {"other": "why"}
-    assert "new" in outcome.flight.outcome.served
+    assert "new" in outcome.flight.measures.served
 
 
 def test_a_pending_plan_is_flown_without_a_drone_lost_meanwhile(flying, monkeypatch):
     scene, made = flying
-    real = mission_module.replan
+    real = orders.replan
     with Mission(scene, made) as mission:
         mission.advance(0.5)
         first = mission.replan(Changes(added=(Task("new", (6.0, 2.0, 1.0)),)))
         server = next(name for name, route in first.plan.routes.items() if "new" in route)
         refused = replace(first.plan, status="uncertified")
-        monkeypatch.setattr(mission_module, "replan", lambda *a, **k: replace(real(*a, **k), plan=refused))
+        monkeypatch.setattr(orders, "replan", lambda *a, **k: replace(real(*a, **k), plan=refused))
         mission.strike(DroneLost(0.5, server))
         outcome = mission.finish()
     assert outcome.swapped == (first,)
     assert "new" in outcome.unserved
-    assert set(outcome.unserved) | set(outcome.flight.outcome.served) == {task.id for task in scene.tasks} | {"new"}
+    assert set(outcome.unserved) | set(outcome.flight.measures.served) == {task.id for task in scene.tasks} | {"new"}
     assert outcome.unexplained == ()
 
 
@@ -212,7 +215,7 @@ def test_what_no_capacity_is_left_for_is_listed():
         outcome = mission.finish()
     assert list(outcome.unserved) == ["t1"]
     assert "capacity" in outcome.unserved["t1"] or "full" in outcome.unserved["t1"]
-    assert outcome.flight.outcome.completion == 0.5
+    assert outcome.flight.measures.completion == 0.5
     assert flawless(outcome)
 
 
@@ -226,7 +229,7 @@ def test_what_only_lost_drones_were_small_enough_for_stays_listed():
         assert answer.plan.status == "certified"
         mission.serve_rest()
         outcome = mission.finish()
-    assert outcome.flight.outcome.served == ("t1",)
+    assert outcome.flight.measures.served == ("t1",)
     assert set(outcome.unserved) == {"t0", "new"}
     assert all("the smallest drone left needs 0.4 m" in reason for reason in outcome.unserved.values())
     assert flawless(outcome)
@@ -238,13 +241,13 @@ def test_tasks_missed_in_a_gust_are_served_later(flying):
     storm = Gust(visit.time - 0.7, 1.0, (0.0, 16.0, 0.0))
     with Mission(scene, made, wind=[storm]) as mission:
         mission.advance(made.cost.makespan)
-        assert "away from it" in mission.unserved[visit.task]
-        missed = set(mission.unserved)
+        assert "away from it" in mission.state.unserved[visit.task]
+        missed = set(mission.state.unserved)
         mission.serve_rest()
         outcome = mission.finish()
-    assert missed <= set(outcome.flight.outcome.served)
-    assert outcome.flight.outcome.completion == 1.0
-    assert outcome.flight.outcome.max_tracking_error > 0.1
+    assert missed <= set(outcome.flight.measures.served)
+    assert outcome.flight.measures.completion == 1.0
+    assert outcome.flight.measures.max_tracking_error > 0.1
     assert outcome.unserved == {}
 
 
@@ -253,8 +256,8 @@ def test_controllers_do_not_know_of_the_wind(flying):
         blown = mission.finish().flight
     calm = execute(*flying)
     np.testing.assert_array_equal(blown.states[:241], calm.states[:241])
-    assert blown.outcome.max_tracking_error > 2.0 * calm.outcome.max_tracking_error
-    assert blown.outcome.completion == 1.0
+    assert blown.measures.max_tracking_error > 2.0 * calm.measures.max_tracking_error
+    assert blown.measures.completion == 1.0
     with pytest.raises(SettingsError, match="has_drag"):
         Mission(*flying, FlightSettings(has_drag=False), wind=[Gust(1.0, 1.0, (2.0, 0.0, 0.0))])
 
@@ -290,9 +293,9 @@ def test_changes_that_cannot_be_are_named_and_change_nothing(flying, changes, er
         mission.advance(0.5)
         with pytest.raises(error, match=words):
             mission.replan(changes)
-        assert len(mission.positions()) == 3
-        assert mission.answers == []
-        assert len(mission.open) == 5
+        assert len(mission.state.positions) == 3
+        assert mission.state.answers == []
+        assert len(mission.state.open) == 5
         assert mission.replan(Changes()).plan.status == "certified"
 
 
@@ -300,7 +303,7 @@ def test_a_name_is_not_given_twice(flying):
     scene, made = flying
     with Mission(scene, made) as mission:
         mission.advance(made.cost.makespan)
-        served = mission.serviced[0]
-        mission.scene = scene.replace(tasks=tuple(task for task in scene.tasks if task.id != served))
+        served = mission.state.served[0]
+        mission.state.scene = scene.replace(tasks=tuple(task for task in scene.tasks if task.id != served))
         with pytest.raises(SettingsError, match="again"):
             mission.replan(Changes(added=(Task(served, (5.0, 1.0, 1.0)),)))

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from flockopt.geometry.free_space import free_space
 from flockopt.geometry.kernels import SEGMENT_TOLERANCE_M, segment_distances
 from flockopt.scene import Box, Cylinder, Sphere
 from flockopt.scene.parts import obstacle_table
-from flockopt.travel.blocking import blocked_pairs, blocker, make_space, too_near
+from flockopt.travel.blocking import blocked_pairs, blocker, too_near
 
 
 def random_table(rng):
@@ -56,7 +57,7 @@ def test_a_blocker_is_found_exactly_where_there_is_one_whatever_the_guess(seed):
     rng = np.random.default_rng(seed)
     table = np.concatenate([random_table(rng) for _ in range(3)])
     needs = rng.uniform(0.01, 0.4, len(table))
-    space = make_space(table, needs, np.full(3, -9.0), np.full(3, 9.0))
+    space = free_space(table, needs, (np.full(3, -9.0), np.full(3, 9.0)))
     p, q = random_segments(rng)
     near = segment_distances(table, p, q) < needs
     for guess in (-1, 0, 5):
