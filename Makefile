@@ -87,8 +87,9 @@ format: $(READY)  ## mend what the formatter and the linter can mend
 	$(RUN) -m ruff check --fix .
 	$(RUN) -m ruff format .
 
-LOCK := $(RUN) -m uv pip compile --universal --python-version 3.11 --generate-hashes --upgrade --no-header --no-annotate \
-	--no-emit-index-url --no-emit-find-links
+# One version of each package for every Python, so that plans and types are the same under all of them.
+LOCK := $(RUN) -m uv pip compile --universal --python-version 3.11 --fork-strategy fewest --upgrade --generate-hashes \
+	--no-header --no-annotate --no-emit-index-url --no-emit-find-links
 
 lock: $(PLANS)  ## pin the newest versions that pyproject.toml allows in requirements/
 	$(INSTALL) $(UV)

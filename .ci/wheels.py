@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -42,14 +43,14 @@ def optional_packages() -> set[str]:
     return {name_of(wish) for extra in project["optional-dependencies"].values() for wish in extra} & pinned
 
 
-def wheels(platform: str, python: str, requirements: Path, *options: str) -> tuple[set[str], str]:
+def wheels(platform: str, python: str, nowhere: Path, requirements: Path, *options: str) -> tuple[set[str], str]:
     """The packages that would be installed from wheels alone, or what is wrong.
 
-    ``uv pip install --dry-run`` for another platform resolves by its markers and tags; a folder as the target keeps it from
-    looking at what is installed here.
+    ``uv pip install --dry-run`` for another platform resolves by its markers and tags; an empty folder as the target keeps it
+    from looking at what is installed here.
     """
     command = [
-        sys.executable, "-m", "uv", "pip", "install", "--dry-run", "--target", str(requirements.parent / "nowhere"),
+        sys.executable, "-m", "uv", "pip", "install", "--dry-run", "--target", str(nowhere),
         "--python-platform", platform, "--python-version", python, "--only-binary", ":all:", *options, "-r", str(requirements),
     ]  # fmt: skip
     done = subprocess.run(command, env=os.environ | MACOS, capture_output=True, text=True)
@@ -61,13 +62,13 @@ def main(torch: str) -> int:
     optional, faults = optional_packages(), []
     print(f"| platform | {' | '.join(PYTHONS)} |", "---".join("|" * (len(PYTHONS) + 2)), sep="\n")
     with tempfile.TemporaryDirectory() as folder:
-        beside = Path(folder) / "torch.txt"
+        nowhere, beside = Path(folder) / "nowhere", Path(folder) / "torch.txt"
         beside.write_text(torch + "\n", encoding="utf-8")
         for title, platform in PLATFORMS.items():
             cells = []
             for python in PYTHONS:
-                asked = [wheels(platform, python, ROOT / f"requirements/{lock}.txt", "--require-hashes") for lock in LOCKS]
-                asked.append(wheels(platform, python, beside))
+                ask = partial(wheels, platform, python, nowhere)
+                asked = [ask(ROOT / f"requirements/{lock}.txt", "--require-hashes") for lock in LOCKS] + [ask(beside)]
                 wrong = [fault for _, fault in asked if fault]
                 faults += [f"{title}, Python {python}: {fault}" for fault in wrong]
                 missing = sorted(optional - set().union(*(names for names, _ in asked)))

@@ -35,6 +35,11 @@ def test_the_demo_installs_a_part_of_what_the_tests_do():
     assert pins("demo") < pins("dev")
 
 
+@pytest.mark.parametrize("purpose", ["demo", "dev"])
+def test_every_python_gets_the_same_versions(purpose):
+    assert len(pins(purpose)) == len(names(pins(purpose)))
+
+
 def test_what_the_demo_can_do_without_is_not_in_it():
     optional = names(line for name, extra in PROJECT["optional-dependencies"].items() if name != "show" for line in extra)
     assert not names(pins("demo")) & optional
