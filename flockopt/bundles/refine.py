@@ -8,7 +8,7 @@ import numpy as np
 
 from flockopt.bundles.bundles import Bundles
 from flockopt.bundles.explain import explained
-from flockopt.bundles.request import Request, checked_limits, checked_preferences, checked_routes
+from flockopt.bundles.request import AllocationRequest, checked_limits, checked_preferences, checked_routes
 from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
@@ -61,10 +61,10 @@ def refine_bundles(
         travel = compute_travel(scene)
     if scene.num_tasks == 0:
         return explained(scene, travel, ((),) * scene.num_drones)
-    return METHODS[method](Request(scene, travel, preferences, routes, iterations, time_limit_s, seed))
+    return METHODS[method](AllocationRequest(scene, travel, preferences, routes, iterations, time_limit_s, seed))
 
 
-def _by_search(request: Request) -> Bundles:
+def _by_search(request: AllocationRequest) -> Bundles:
     from flockopt.bundles.search.anneal import search
     from flockopt.bundles.search.construct import build_problem
 
@@ -79,7 +79,7 @@ def _by_search(request: Request) -> Bundles:
     return explained(request.scene, request.travel, routes)
 
 
-def _by_assignment(request: Request) -> Bundles:
+def _by_assignment(request: AllocationRequest) -> Bundles:
     """The transport polytope's best assignment, each drone's tasks put in order; preferences default to nearness."""
     from flockopt.bundles.assignment import transport
     from flockopt.bundles.tour import shortest_order
@@ -91,7 +91,7 @@ def _by_assignment(request: Request) -> Bundles:
     return explained(scene, travel, tuple(shortest_order(travel, i, np.flatnonzero(row)) for i, row in enumerate(assignment)))
 
 
-def _by_routing(request: Request) -> Bundles:
+def _by_routing(request: AllocationRequest) -> Bundles:
     from flockopt.bundles.ortools_routing import route_with_ortools
 
     routes = route_with_ortools(
@@ -104,7 +104,7 @@ def _by_routing(request: Request) -> Bundles:
     return explained(request.scene, request.travel, routes)
 
 
-def _exactly(request: Request) -> Bundles:
+def _exactly(request: AllocationRequest) -> Bundles:
     from flockopt.bundles.exact.exact import solve_exact
 
     warm_start = Bundles(request.warm_start) if request.warm_start else None
@@ -114,7 +114,7 @@ def _exactly(request: Request) -> Bundles:
 
 
 #: The ways to make bundles. Each imports its solver when called.
-METHODS: dict[str, Callable[[Request], Bundles]] = {
+METHODS: dict[str, Callable[[AllocationRequest], Bundles]] = {
     "search": _by_search,
     "lp": _by_assignment,
     "cvrp": _by_routing,

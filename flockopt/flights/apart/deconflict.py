@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from flockopt.bundles import Bundles
 from flockopt.flights import Flight
 from flockopt.flights.apart.detour import Detours
-from flockopt.flights.apart.fleet import Fleet
+from flockopt.flights.apart.fleet import TimedFleet
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
@@ -54,7 +54,7 @@ def deconflict(
     """Keep all drones apart over the whole time, parked ones included.
 
     Args:
-        scene: The scene; its separation (an ellipsoid if `separation_z` is given) counts between centres.
+        scene: The scene; what `Scene.axes_between` says counts between centres.
         bundles: The routes behind the flights, for drones that have to be flown another way.
         flights: One flight for each drone that moves, by id, as from `decode`; all begin at t = 0.
         travel: The scene's travel, if it is already there.
@@ -63,8 +63,8 @@ def deconflict(
     Returns:
         The flights, delayed, slowed or rerouted; every pair that could not be kept apart is listed, never hidden.
     """
-    fleet = Fleet(scene, flights)
-    if scene.separation == 0.0 or not fleet.meeting():
+    fleet = TimedFleet(scene, flights)
+    if not fleet.meeting():
         return Deconflicted(flights, ())
     detours = Detours(scene, bundles, compute_travel(scene) if travel is None else travel, airborne)
     for _ in range(4 * scene.num_drones + 8):
@@ -77,5 +77,5 @@ def deconflict(
         drone, flight = change
         fleet.replace(drone, flight)
     timed = fleet.timed_flights()
-    left = [Conflict((scene.drones[a].id, scene.drones[b].id), time) for a, b, time in Fleet(scene, timed).conflicts()]
+    left = [Conflict((scene.drones[a].id, scene.drones[b].id), time) for a, b, time in TimedFleet(scene, timed).conflicts()]
     return Deconflicted(timed, tuple(left))
