@@ -78,7 +78,7 @@ def test_clearance_loss_is_zero_on_roomy_ways_and_not_on_straight_ones():
 
 
 def test_schedule_and_ddim_are_those_of_diffusers():
-    diffusers = pytest.importorskip("diffusers", reason="diffusers comes with the developers' tools")
+    diffusers = pytest.importorskip("diffusers", reason="diffusers comes with the dependency group 'dev'")
     scheduler = diffusers.DDIMScheduler(
         num_train_timesteps=1000, beta_schedule="squaredcos_cap_v2", prediction_type="sample", clip_sample=False,
         timestep_spacing="trailing", set_alpha_to_one=True,
