@@ -7,6 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+pytest.importorskip("highspy", reason="highspy comes with the extra 'solvers'")
+pytest.importorskip("ortools", reason="OR-Tools comes with the extra 'solvers'")
+
 from benchmarks.optimality_gap import uniform_scene
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.bundles.exact.exact import solve_exact

@@ -19,6 +19,7 @@ from flockopt.cli.text import printable, table
 @pytest.fixture(scope="module")
 def planned(root, tmp_path_factory):
     """A scene file and the plan file made of it, and what the command printed."""
+    pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     folder = tmp_path_factory.mktemp("planned")
     shutil.copy(root / "examples/scenes/two-drones.json", folder / "scene.json")
     command = [sys.executable, "-m", "flockopt", "plan", "scene.json", "-o", "plan.json", "--show", "plan.png"]
@@ -92,6 +93,7 @@ def test_the_same_seed_gives_the_same_plan(planned, flockopt, tmp_path):
 
 
 def test_infeasible_scenes_say_why(flockopt, two_drones, tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     two_drones["drones"][0]["capacity"] = two_drones["drones"][1]["capacity"] = 1
     (tmp_path / "scene.json").write_text(json.dumps(two_drones))
     status, out, err = flockopt("plan", tmp_path / "scene.json", "-o", tmp_path / "plan.json", "--show", tmp_path / "plan.png")
@@ -137,6 +139,8 @@ def test_generate_gives_what_was_asked_for(flockopt, tmp_path):
 
 @pytest.mark.parametrize("suffix", ["png", "html"])
 def test_show_draws_a_scene_alone(flockopt, root, tmp_path, suffix):
+    if suffix == "png":
+        pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     target = tmp_path / f"scene.{suffix}"
     assert flockopt("show", root / "examples/scenes/two-drones.json", "-o", target) == (0, "", "")
     assert target.stat().st_size > 1000

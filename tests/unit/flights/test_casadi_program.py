@@ -7,7 +7,7 @@ from flockopt.flights.smoothing.casadi_program import STATE, STEP, StageGoal, St
 from flockopt.flights.smoothing.stages import TERMS, Stage
 from flockopt.geometry.bernstein import largest_norm
 
-pytest.importorskip("casadi")
+pytest.importorskip("casadi", reason="CasADi comes with the extra 'trajectory'")
 
 PIECES, ROWS = 3, 2
 

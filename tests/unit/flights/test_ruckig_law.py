@@ -15,7 +15,7 @@ from flockopt.flights.laws.corner_speeds import SHORTEST_PHASE_S, corner_speeds,
 from flockopt.flights.room import MOST_PIECES
 from flockopt.geometry.bernstein import control_points, largest_norm
 
-pytest.importorskip("ruckig")
+pytest.importorskip("ruckig", reason="ruckig comes with the extra 'trajectory'")
 
 from flockopt.flights.laws.ruckig_law import fly_polyline
 

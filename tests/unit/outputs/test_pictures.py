@@ -151,8 +151,7 @@ def test_without_matplotlib_the_extra_is_named_and_the_page_still_works(tmp_path
 
 
 def test_a_users_own_style_changes_nothing(tmp_path):
-    import matplotlib
-
+    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     scene = generate("forest", drones=2, tasks=2)
     show(scene, tmp_path / "a.png")
     with matplotlib.rc_context({"font.size": 30, "figure.dpi": 300, "axes.grid": True}):

@@ -42,7 +42,7 @@ def test_stages_are_reported_and_timed(scene):
 
 def test_the_hybrid_plans_where_nobody_is_named_and_it_is_ready(scene, monkeypatch):
     student = pytest.importorskip("learned.student.planner")
-    pytest.importorskip("torch")
+    pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
     assert default_planner().name == plan(scene).planner == "hybrid"
     with monkeypatch.context() as patch:
         patch.setattr(student, "WEIGHTS", student.WEIGHTS.with_name("missing.safetensors"))
