@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, INTEGERS_1, compiled_for, writable
 from flockopt.geometry.free_space import FreeSpace
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
@@ -123,7 +124,7 @@ def within_ellipse(
     return np.inf, -1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(writable(INTEGERS_1), writable(INTEGERS_1), FLOATS_1, types.int64, error_model="numpy")
 def _rise(heap: NDArray[np.int64], place: NDArray[np.int64], key: FloatArray, at: int) -> None:
     """Move the entry at heap position ``at`` up to where it belongs."""
     v = heap[at]
@@ -138,7 +139,7 @@ def _rise(heap: NDArray[np.int64], place: NDArray[np.int64], key: FloatArray, at
     place[v] = at
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(writable(INTEGERS_1), writable(INTEGERS_1), FLOATS_1, types.int64, error_model="numpy")
 def _pop(heap: NDArray[np.int64], place: NDArray[np.int64], key: FloatArray, size: int) -> int:
     """Take the least entry out of a heap of ``size``; it is marked -2 in ``place``."""
     top = heap[0]

@@ -6,12 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
-from flockopt.geometry.free_space import FreeSpace
+from flockopt.batches.compiled import FLOATS_1, INTEGERS_1, compiled_for, record_of
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.bends import Features
+from flockopt.travel.bends import FEATURES, Features
 from flockopt.travel.blocking import blocker
 
 __all__ = ["Sight", "empty_sight", "look_around", "sees", "tangent", "wraps"]
@@ -26,6 +27,11 @@ class Sight(NamedTuple):
     begin: NDArray[np.int64]  # (F,) where a feature's list begins in the pool, -1 if nobody asked
     end: NDArray[np.int64]  # (F,)
     used: NDArray[np.int64]  # (1,) filled part of the pool
+
+
+#: The same as compiled code knows it, and what points see.
+SIGHT = record_of(Sight, types.Array(types.int32, 1, "C"), *[INTEGERS_1] * 3)
+VIEWS = types.Array(types.uint8, 2, "C")
 
 
 def empty_sight(num_features: int) -> Sight:
@@ -108,7 +114,7 @@ def look_around(space: FreeSpace, features: Features, sight: Sight, u: int) -> S
     return Sight(pool, begin, sight.end, sight.used)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FREE_SPACE, FEATURES, VIEWS, types.int64, FLOATS_1, types.int64, FLOATS_1, types.int64, error_model="numpy")
 def sees(
     space: FreeSpace,
     features: Features,
