@@ -32,7 +32,7 @@ $(READY): requirements.lock pyproject.toml
 	@touch $(READY)
 
 $(COMPILED): $(READY)
-	@echo "compiling for this machine (once; two or three minutes)"
+	@echo "compiling for this machine (once; a minute or two)"
 	@$(RUN) -m flockopt plan $(DEMO) -o $(VENV)/first.plan.json > /dev/null || test $$? -eq 1
 	@touch $(COMPILED)
 
