@@ -6,9 +6,10 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import INTEGERS_1, record_of
 from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.bends import Features
@@ -37,6 +38,11 @@ class Sight(NamedTuple):
     begin: NDArray[np.int64]  # (F,) where a feature's list begins in the pool, -1 if nobody asked
     end: NDArray[np.int64]  # (F,)
     used: NDArray[np.int64]  # (1,) filled part of the pool
+
+
+#: The same as compiled code knows it, and what points see.
+SIGHT = record_of(Sight, types.Array(types.int32, 1, "C"), *[INTEGERS_1] * 3)
+VIEWS = types.Array(types.uint8, 2, "C")
 
 
 def empty_sight(num_features: int) -> Sight:
