@@ -9,9 +9,10 @@ at most one: prices on breaking these rules (Held and Karp 1970) lift the bound.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["ascend", "forest_value", "task_shares"]
@@ -26,7 +27,7 @@ FIRST_REACH, LEAST_REACH = 0.05, 1e-5
 PATIENCE, LEAST_GAIN = 4, 0.1
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_1, writable(FLOATS_1), writable(INTEGERS_1))
 def _roots(starts: FloatArray, start_prices: FloatArray, costs: FloatArray, owners: NDArray[np.int64]) -> None:
     """Cheapest priced start of every task, into ``costs`` (M,) and ``owners`` (M,)."""
     costs[:] = np.inf
@@ -39,7 +40,7 @@ def _roots(starts: FloatArray, start_prices: FloatArray, costs: FloatArray, owne
                 owners[j] = i
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_1, FLOATS_1, writable(INTEGERS_1), writable(FLAGS_1), writable(FLOATS_1))
 def _grow(
     between: FloatArray,
     roots: FloatArray,
@@ -92,7 +93,7 @@ def _grow(
     return total
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, FLOATS_1)
 def forest_value(starts: FloatArray, between: FloatArray, prices: FloatArray, start_prices: FloatArray) -> float:
     """The bound that task prices (M,) and start prices (N,), all >= 0, prove; metres."""
     num = starts.shape[1]
@@ -102,7 +103,7 @@ def forest_value(starts: FloatArray, between: FloatArray, prices: FloatArray, st
     return float(weight - 2.0 * prices.sum() - start_prices.sum())
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, FLOATS_1)
 def task_shares(starts: FloatArray, between: FloatArray, prices: FloatArray, start_prices: FloatArray) -> FloatArray:
     """The bound shared out over the tasks (M,), metres: what each pays to hang on to the tree.
 
@@ -144,7 +145,7 @@ def _turn(direction: FloatArray, gradient: FloatArray, prices: FloatArray, share
     return max(steepest, norm) if steepest > 0.0 else 0.0
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2, types.int64, types.float64)
 def ascend(starts: FloatArray, between: FloatArray, rounds: int, upper: float) -> FloatArray:
     """Prices near the Held-Karp maximum by a projected subgradient with Polyak steps to a moving target.
 
@@ -173,7 +174,8 @@ def ascend(starts: FloatArray, between: FloatArray, rounds: int, upper: float) -
         stale = 0 if value - best > LEAST_GAIN * reach * abs(best) else stale + 1
         if value > best:
             best = value
-            best_prices[:] = prices
+            for k in range(num + num_drones):
+                best_prices[k] = prices[k]
         if stale >= PATIENCE:
             reach, stale = max(0.5 * reach, LEAST_REACH), 0
         _gradient(degrees, rooted, owners, gradient)
