@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_2, INTEGERS_2, compiled_for
 from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.shortening import shorten
@@ -95,7 +95,7 @@ def join(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray
     return merge(drawn, draw(space, points, joined, lengths))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FLOATS_2, INTEGERS_2, error_model="numpy")
 def _shorter_through(lengths: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     """The third point through which each pair's way is shortest, (L,), -1 where no third point makes it shorter."""
     through = np.full(pairs.shape[0], -1, dtype=np.int64)
