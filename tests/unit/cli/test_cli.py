@@ -205,6 +205,25 @@ def test_progress_speaks_after_a_second(monkeypatch, stream, words):
         assert stream.getvalue().endswith("\r" + " " * len(words.strip()) + "\r")
 
 
+@pytest.mark.parametrize(
+    ("stream", "words"),
+    [
+        (Terminal(), "\rcompiling 5, 2.0 s\rcompiling 20, 4.0 s\rcompiling 25, 6.0 s"),
+        (io.StringIO(), "compiling 20, 4.0 s\n"),
+    ],
+)
+def test_progress_speaks_now_and_then_in_the_middle_of_a_stage(monkeypatch, stream, words):
+    now = [100.0]
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setattr("flockopt.batches.progress.time.monotonic", lambda: now[0])
+    with StageLine() as progress:
+        progress.tell("compiling 1", 0.01)
+        for percent in (5, 20, 25):
+            now[0] += 2.0
+            progress.tell(f"compiling {percent}", 0.01 * percent)
+        assert stream.getvalue() == words
+
+
 def test_progress_can_be_quiet(monkeypatch, capsys):
     times = iter([0.0, 9.0])
     monkeypatch.setattr("flockopt.batches.progress.time.monotonic", lambda: next(times))
