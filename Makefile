@@ -42,7 +42,7 @@ $(READY): requirements/dev.txt $(PLANS)
 	@touch $(READY)
 
 $(COMPILED): $(PLANS)
-	@echo "compiling for this machine (once; about a minute)"
+	@echo "compiling for this machine (once; a minute or two)"
 	@$(RUN) -m flockopt plan $(DEMO) -o $(VENV)/first.plan.json > /dev/null || test $$? -eq 1
 	@touch $(COMPILED)
 
