@@ -13,6 +13,7 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
+from flockopt.bundles.bounds.polyak import LEAST_REACH, begin, seen, target
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["ascend", "forest_value", "task_shares"]
@@ -20,11 +21,8 @@ __all__ = ["ascend", "forest_value", "task_shares"]
 #: Share of the new direction in a step; the rest is the last direction, which damps the zigzag.
 DIRECTION_SHARE = 0.7
 
-#: The target of a step lies this share of the best bound above it, at first and at least.
-FIRST_REACH, LEAST_REACH = 0.05, 1e-5
-
-#: The reach is halved after this many rounds that gain less than this share of it.
-PATIENCE, LEAST_GAIN = 4, 0.1
+#: What the reach of the steps shrinks to.
+COOLING = 0.5
 
 
 @compiled_for(FLOATS_2, FLOATS_1, writable(FLOATS_1), writable(INTEGERS_1))
@@ -164,25 +162,22 @@ def ascend(starts: FloatArray, between: FloatArray, rounds: int, upper: float) -
     gradient, direction = np.zeros(num + num_drones), np.zeros(num + num_drones)
     roots, owners = np.empty(num), np.empty(num, np.int64)
     degrees, rooted, shares = np.empty(num, np.int64), np.empty(num, np.bool_), np.empty(num)
-    best, reach, stale = -np.inf, FIRST_REACH, 0
+    ascent = begin()
     for step in range(rounds):
         _roots(starts, prices[num:], roots, owners)
         weight = _grow(between, roots, prices[:num], degrees, rooted, shares)
         value = weight - 2.0 * prices[:num].sum() - prices[num:].sum()
         if not np.isfinite(value):
             break
-        stale = 0 if value - best > LEAST_GAIN * reach * abs(best) else stale + 1
-        if value > best:
-            best = value
+        if value > ascent.best:
             for k in range(num + num_drones):
                 best_prices[k] = prices[k]
-        if stale >= PATIENCE:
-            reach, stale = max(0.5 * reach, LEAST_REACH), 0
+        ascent = seen(ascent, value, COOLING, LEAST_REACH)
         _gradient(degrees, rooted, owners, gradient)
         norm = _turn(direction, gradient, prices, DIRECTION_SHARE if step else 1.0)
         if norm == 0.0:
             break
-        length = (min(best * (1.0 + reach), max(upper, best)) - value) / norm
+        length = (target(ascent, upper) - value) / norm
         for k in range(num + num_drones):
             prices[k] = max(0.0, prices[k] + length * direction[k])
     return best_prices

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flockopt.bundles.bounds.ng_route import Labels, Neighbourhood, cheapest_labels, count_visits, grow_labels, neighbourhood
+from flockopt.bundles.bounds.polyak import LEAST_REACH, begin, seen, target
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -22,12 +23,6 @@ __all__ = ["NEIGHBOURS", "DroneGroup", "ascend_prices", "evaluate", "group_drone
 
 #: Tasks in an ng-neighbourhood, itself included.
 NEIGHBOURS = 8
-
-#: The target of a step lies this share of the best bound above it at first; the ascent ends below the least.
-FIRST_REACH, LEAST_REACH = 0.05, 1e-5
-
-#: The reach shrinks after this many rounds that gain less than this share of it.
-PATIENCE, LEAST_GAIN = 4, 0.1
 
 #: Share of the new direction in a step; the rest is the last direction.
 DIRECTION_SHARE = 0.5
@@ -133,23 +128,20 @@ def ascend_prices(
     """
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
     best_prices, direction = prices, np.zeros_like(prices)
-    best, reach, stale = -np.inf, FIRST_REACH, 0
+    ascent = begin()
     for step in range(rounds):
         value, visits = evaluate(groups, prices)
-        stale = 0 if value - best > LEAST_GAIN * reach * abs(best) else stale + 1
-        if value > best:
-            best, best_prices = value, prices
-        if stale >= PATIENCE:
-            reach, stale = cooling * reach, 0
+        if value > ascent.best:
+            best_prices = prices
+        ascent = seen(ascent, value, cooling, 0.0)
         gradient = 1.0 - visits
         steepest = gradient[(prices > 0.0) | (gradient > 0.0)]  # what would not leave the positive prices
         late = deadline is not None and time.monotonic() > deadline
-        if not steepest.any() or reach < LEAST_REACH or late:
+        if not steepest.any() or ascent.reach < LEAST_REACH or late:
             break
         share = DIRECTION_SHARE if step else 1.0
         direction = share * gradient + (1.0 - share) * direction
         direction[(prices <= 0.0) & (direction < 0.0)] = 0.0
-        target = min(best * (1.0 + reach), max(upper, best))
-        length = (target - value) / max(float(direction @ direction), LEAST_NORM_SHARE * float(steepest @ steepest))
-        prices = np.maximum(0.0, prices + length * direction)
+        norm = max(float(direction @ direction), LEAST_NORM_SHARE * float(steepest @ steepest))
+        prices = np.maximum(0.0, prices + (target(ascent, upper) - value) / norm * direction)
     return best_prices

@@ -73,6 +73,6 @@ def test_the_record_has_one_type_whatever_it_is_made_from():
     spaces = [scene.free_space(0.2), free_space(table, [0.2, 0.2], FAR), free_space(np.empty((0, 9)), 1, FAR)]
     assert {typeof(space) for space in spaces} == {FREE_SPACE}
     np.testing.assert_array_equal(spaces[0].boxes, bounding_boxes(scene.obstacle_table))
-    np.testing.assert_array_equal(spaces[0].reach, [np.hypot(0.5, 0.5) + 0.2, 0.6])
+    np.testing.assert_allclose(spaces[0].reach, [np.hypot(0.5, 0.5) + 0.2, 0.6])
     spaces[0].table[:] = 0.0  # its own: the scene's stays as it is
     assert scene.obstacle_table.any()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 
 import pytest
 
-from flockopt import Box, Cylinder, Scene, Sphere, plan
+from flockopt import Box, Cylinder, Plan, Scene, Sphere, plan
 from tests.flights import drone, make_scene
 
 SCRIPT = """
@@ -41,15 +40,15 @@ def without_jit(tmp_path_factory):
     command = [sys.executable, "-c", SCRIPT, folder / "scene.json", folder / "plan.json"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    return json.loads((folder / "plan.json").read_text())
+    return Plan.load(folder / "plan.json")
 
 
 def test_the_plan_is_the_one_that_is_made_with_it(without_jit):
     made = plan(small_scene(), planner="classical")
-    assert without_jit["status"] == made.status == "certified"
-    assert {name: tuple(route) for name, route in without_jit["routes"].items()} == made.routes
+    assert without_jit.status == made.status == "certified"
+    assert without_jit.routes == made.routes
     for figure in ("travel", "length", "lower_bound", "makespan"):
-        assert without_jit["cost"][figure] == pytest.approx(getattr(made.cost, figure), rel=1e-9)
-    for mine, theirs in zip(without_jit["certificate"]["clauses"], made.certificate.clauses, strict=True):
-        assert mine["name"] == theirs.name
-        assert mine["margin"] == pytest.approx(theirs.margin, abs=1e-6)
+        assert getattr(without_jit.cost, figure) == pytest.approx(getattr(made.cost, figure), rel=1e-9)
+    for mine, theirs in zip(without_jit.certificate.clauses, made.certificate.clauses, strict=True):
+        assert mine.name == theirs.name
+        assert mine.margin == pytest.approx(theirs.margin, abs=1e-6)
