@@ -241,6 +241,7 @@ def test_tables_line_up_and_stay_on_their_lines():
 
 
 def test_the_exact_planner_says_that_its_plan_is_the_best(flockopt, tmp_path, root):
+    pytest.importorskip("highspy", reason="highspy comes with the extra 'solvers'")
     output = tmp_path / "plan.json"
     status, out, _ = flockopt("plan", root / "examples/scenes/rotterdam.json", "-o", output, "--planner", "exact")
     assert status == 0
