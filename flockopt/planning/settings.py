@@ -49,24 +49,18 @@ class PlanSettings:
     backend: str | None = None
 
     def __post_init__(self) -> None:
-        if self.planner is not None and not isinstance(self.planner, Planner):
+        if not isinstance(self.planner, Planner | None):
             checks.text(SettingsError, "planner", self.planner)
         if self.time_limit_s is not None:
             mend = "give it seconds, or None for no limit"
-            self._store("time_limit_s", checks.number(SettingsError, "time_limit_s", self.time_limit_s, above=0.0, mend=mend))
-        self._store("seed", checks.integer(SettingsError, "seed", self.seed, least=0))
-        self._store("tracking_margin_m", checks.number(SettingsError, "tracking_margin_m", self.tracking_margin_m, least=0.0))
-        if self.bound not in BOUND_EFFORTS:
-            rule = f"must be one of {', '.join(BOUND_EFFORTS)}"
-            raise SettingsError("bound", f"is {checks.shown(self.bound)}", rule, "choose one")
-        if not isinstance(self.smoothing, bool):
-            raise SettingsError("smoothing", f"is {checks.shown(self.smoothing)}", "must be True or False", "choose one")
-        for field in ("paths", "backend"):
-            if getattr(self, field) is not None:
-                checks.text(SettingsError, field, getattr(self, field))
-
-    def _store(self, field: str, value: Any) -> None:
-        object.__setattr__(self, field, value)
+            checks.store(self, checks.number, SettingsError, "time_limit_s", above=0.0, mend=mend)
+        checks.store(self, checks.integer, SettingsError, "seed", least=0)
+        checks.store(self, checks.choice, SettingsError, "bound", known=BOUND_EFFORTS)
+        checks.store(self, checks.flag, SettingsError, "smoothing")
+        checks.store(self, checks.number, SettingsError, "tracking_margin_m", least=0.0)
+        checks.text(SettingsError, "paths", self.paths)
+        if self.backend is not None:
+            checks.text(SettingsError, "backend", self.backend)
 
     @classmethod
     def of(cls, settings: PlanSettings | None, keywords: Mapping[str, Any]) -> PlanSettings:

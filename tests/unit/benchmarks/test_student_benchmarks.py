@@ -8,7 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from benchmarks import pipeline, scalability, student_ablation  # noqa: E402 - torch may be missing
+from benchmarks import pipeline, scalability, student_ablation, way_finders  # noqa: E402 - torch may be missing
 from flockopt import MissingExtra, Scene  # noqa: E402 - torch may be missing
 from learned.student.checkpoint import save_student  # noqa: E402
 from tests.student_scenes import tiny_student  # noqa: E402
@@ -38,13 +38,13 @@ def test_scalability_certifies_what_it_times(tmp_path, monkeypatch):
     def missing(student):
         raise MissingExtra("openvino", "openvino")  # compiling takes longer than all else here
 
-    monkeypatch.setattr(scalability, "shipped_student", lambda: tiny_student("small"))
-    monkeypatch.setattr(scalability, "_compiled", missing)
+    monkeypatch.setattr(way_finders, "shipped_student", lambda: tiny_student("small"))
+    monkeypatch.setattr(way_finders, "_compiled", missing)
+    monkeypatch.setattr(way_finders, "BATCH", 3)
     monkeypatch.setattr(scalability, "WARM_UP", 1)
-    monkeypatch.setattr(scalability, "BATCH", 3)
     assert scalability.main(["--scenes", "1", "--tasks", "8", "12", "--out", str(tmp_path)]) == 0
     rows = rows_of(tmp_path / "scalability.csv")
-    assert [row["pipeline"] for row in rows] == [name for name in scalability.NAMES if name != scalability.OPENVINO] * 2
+    assert [row["pipeline"] for row in rows] == [name for name in scalability.NAMES if name != way_finders.OPENVINO] * 2
     assert all(row["certified"] == "True" for row in rows if not row["pipeline"].startswith("voxel"))
     assert (tmp_path / "scalability.png").stat().st_size > 0
 

@@ -19,7 +19,7 @@ from flockopt.planning.planners import PLANNERS, Proposal, Request  # noqa: E402
 from flockopt.travel.travel import straight_travel  # noqa: E402
 from learned.student import planner  # noqa: E402
 from learned.student.inference import draw, task_probabilities  # noqa: E402
-from learned.student.planner import hybrid, learned, shipped_student  # noqa: E402
+from learned.student.planner import hybrid, learned, learned_paper, shipped_student  # noqa: E402
 from learned.student.pulling import pulled_samples  # noqa: E402
 from learned.student.scenes.batch import collate  # noqa: E402
 from learned.student.scenes.examples import example, unassigned  # noqa: E402
@@ -206,6 +206,13 @@ def test_missing_and_damaged_weights_are_named(tmp_path):
     (tmp_path / "damaged.safetensors").write_bytes(b"not weights")
     with pytest.raises(SettingsError, match="damaged"):
         shipped_student(tmp_path / "damaged.safetensors")
+
+
+@pytest.mark.parametrize("propose", [learned, learned_paper, hybrid])
+def test_an_unknown_backend_is_named(propose):
+    scene = generate("forest", drones=2, tasks=3, seed=0)
+    with pytest.raises(SettingsError, match="backend is 'abacus'; must be one of torch, torch-eager"):
+        propose(Request(scene, straight_travel(scene), None, 0), backend="abacus")
 
 
 def test_missing_torch_is_named(tmp_path, monkeypatch):
