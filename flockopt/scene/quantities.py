@@ -19,9 +19,9 @@ SMALLEST, LARGEST = 1e-6, 1e9
 #: projected coordinate on Earth is nearer to zero (web Mercator's reach 2e7, eastings with a zone before them 6.1e7).
 LARGEST_COORDINATE_M = 1e8
 
-#: A fleet's space is at most this long, wide and high: seen from its middle no curve in it reaches farther than 1e6 m, which
-#: is what the judge follows (`flockopt.certificate.judge.LARGEST_COORDINATE_M`).
-LARGEST_SIDE_M = 2e6
+#: A fleet's space is at most this long, wide and high: seen from its middle (`flockopt.scene.frame.Frame`) no curve within it
+#: reaches as far as the judge follows, 1e6 m.
+LARGEST_SIDE_M = 1e6
 
 #: The longest that one task may take, seconds: times are told apart to 1e-9 s, also after many of these.
 LONGEST_SERVICE_S = 1e6

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from flockopt.geometry.distances import distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
+from flockopt.scene.merging import with_merged_obstacles
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 from flockopt.travel.travel import Paths, Travel, places, straight_travel
 
@@ -34,6 +35,7 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
     """
     if not scene.obstacles:
         return straight_travel(scene)
+    scene = with_merged_obstacles(scene)
     radii, drone_class = np.unique(scene.radii, return_inverse=True)
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
     travel = Travel(
