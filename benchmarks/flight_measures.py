@@ -63,17 +63,16 @@ def clearance_margin(scene: Scene, flights: Mapping[str, Flight]) -> float:
 
 def separation_margin(scene: Scene, flights: Mapping[str, Flight]) -> float:
     """How much farther from each other than they must the drones stay at the worst, metres; parked ones count."""
-    if scene.separation == 0.0:
-        return np.inf
     curves: list[tuple[FloatArray, FloatArray]] = [
         (flights[drone.id].curve.breakpoints, flights[drone.id].curve.coefficients)
         if drone.id in flights
         else parked(np.array(drone.start))
         for drone in scene.drones
     ]
-    axes, worst, end = np.array(scene.separation_axes), np.inf, makespan(flights)
-    for a, b in combinations(curves, 2):
-        worst = min(worst, least_separation(*a, *b, axes, 0.0, end, MARGIN_TOLERANCE_M, worst)[0])
+    worst, end = np.inf, makespan(flights)
+    for i, j in combinations(range(scene.num_drones), 2):
+        axes = scene.axes_between(i, j)
+        worst = min(worst, least_separation(*curves[i], *curves[j], axes, 0.0, end, MARGIN_TOLERANCE_M, worst)[0])
     return float(worst)
 
 

@@ -24,24 +24,23 @@ import torch
 from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
 from flockopt import FlockError, Scene, generate, plan
 from flockopt.bundles.bundles import bundle_compactness, insertion_cost, tasks_per_drone_std
-from flockopt.bundles.refine import refine_bundles
 from flockopt.certificate import Plan
-from flockopt.planning.planners import ANY_ANGLE, PLANNERS, Proposal, Request, classical
+from flockopt.planning.planners import ANY_ANGLE, PLANNERS, Planner, Request
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
 from learned.paths.ways import find_ways
 from learned.student.planner import (
+    HYBRID,
+    LEARNED,
+    LEARNED_PAPER,
     PAPER_WEIGHTS,
     WEIGHTS,
     drawn_plan,
-    hybrid,
-    learned,
-    learned_paper,
     searched_plan,
     shipped_student,
 )
-from learned.teacher import planner as teacher_planners
+from learned.teacher.planner import MAGNNET, MAGNNET_BUNDLING, TEACHER
 from sim.mission.execute import execute
 from sim.trials.trial import TRACKING_MARGIN_M
 
@@ -50,52 +49,37 @@ __all__ = ["main"]
 #: Added to the seeds, so that no scene is one that something was trained on.
 UNSEEN = 70_000_000
 
-#: Seconds the exact pipeline may take for its bundles.
+#: Seconds the exact pipeline may take.
 EXACT_S = 20.0
 
 #: Metres by which the hybrid may exceed the classical cost: what adding up in another order loses.
 ROUNDING_M = 1e-6
 
 
-def exact(request: Request) -> Proposal:
-    """Proven optima, as far as the time goes."""
-    return Proposal(
-        refine_bundles(request.scene, travel=request.travel, method="exact", seed=request.seed, time_limit_s=EXACT_S)
-    )
-
-
 @dataclass(frozen=True)
 class Pipeline:
-    """A planner, the paths it flies, and whether its time is limited."""
+    """A planner, the paths it flies, and whether its time is limited: as the command line says, or to so many seconds."""
 
-    planner: str
+    planner: Planner
     paths: str = ANY_ANGLE
     limited: bool = False
+    most_s: float | None = None
 
 
-#: The planners by the names they are registered under.
-OURS = {
-    "magnnet": teacher_planners.magnnet,
-    "magnnet-bundling": teacher_planners.magnnet_bundling,
-    "teacher": teacher_planners.teacher,
-    "learned-paper": learned_paper,
-    "learned": learned,
-    "hybrid": hybrid,
-    "classical": classical,
-    "exact": exact,
-}
+CLASSICAL = PLANNERS["classical"]
+
 PIPELINES = {
-    "magnnet, voxel6": Pipeline("magnnet", "voxel6"),
-    "magnnet + bundling, voxel6": Pipeline("magnnet-bundling", "voxel6"),
-    "magnnet + bundling": Pipeline("magnnet-bundling"),
-    "teacher": Pipeline("teacher"),
-    "paper's student": Pipeline("learned-paper"),
-    "learned": Pipeline("learned"),
-    "hybrid": Pipeline("hybrid"),
-    "classical": Pipeline("classical"),
-    "exact": Pipeline("exact"),
-    "hybrid, limited": Pipeline("hybrid", limited=True),
-    "classical, limited": Pipeline("classical", limited=True),
+    "magnnet, voxel6": Pipeline(MAGNNET, "voxel6"),
+    "magnnet + bundling, voxel6": Pipeline(MAGNNET_BUNDLING, "voxel6"),
+    "magnnet + bundling": Pipeline(MAGNNET_BUNDLING),
+    "teacher": Pipeline(TEACHER),
+    "paper's student": Pipeline(LEARNED_PAPER),
+    "learned": Pipeline(LEARNED),
+    "hybrid": Pipeline(HYBRID),
+    "classical": Pipeline(CLASSICAL),
+    "exact": Pipeline(PLANNERS["exact"], most_s=EXACT_S),
+    "hybrid, limited": Pipeline(HYBRID, limited=True),
+    "classical, limited": Pipeline(CLASSICAL, limited=True),
 }
 
 MEASURES = {
@@ -117,7 +101,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if the hybrid never costs more than the classical planner."""
     options = _parser().parse_args(argv)
     torch.set_num_threads(1)
-    PLANNERS.update({name: planner for name, planner in OURS.items() if name not in PLANNERS})
     left_out = _left_out()
     rows = CsvRows(options.out / "pipeline.csv", COLUMNS)
     chosen = {name: pipeline for name, pipeline in PIPELINES.items() if name not in left_out}
@@ -126,7 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         scene = generate(family, drones=options.drones, tasks=options.tasks, seed=UNSEEN + seed)
         for name, pipeline in chosen.items():
             _warm_up(pipeline, family, options.drones, options.tasks)
-            limit_s = options.time_limit if pipeline.limited else None
+            limit_s = options.time_limit if pipeline.limited else pipeline.most_s
             row = {"family": family, "scene": scene.sha256[:12], "seed": seed, "pipeline": name}
             rows.add(row | _measured(scene, pipeline, seed, limit_s))
         tell(f"{number + 1}/{options.scenes}")
@@ -211,9 +194,9 @@ def _flown(scene: Scene, result: Plan, travel: Travel) -> dict[str, float]:
 def _clear_before(scene: Scene, pipeline: Pipeline, seed: int) -> float:
     """Whether the student's ways need no mending: 1 or 0; NaN where no student draws."""
     drawers = {
-        "learned-paper": (drawn_plan, PAPER_WEIGHTS),
-        "learned": (drawn_plan, WEIGHTS),
-        "hybrid": (searched_plan, WEIGHTS),
+        LEARNED_PAPER: (drawn_plan, PAPER_WEIGHTS),
+        LEARNED: (drawn_plan, WEIGHTS),
+        HYBRID: (searched_plan, WEIGHTS),
     }
     if pipeline.planner not in drawers:
         return float("nan")

@@ -23,7 +23,6 @@ scenes of each size are a warm-up, which compiles all there is to compile, and n
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -35,11 +34,10 @@ from benchmarks.way_finders import NAMES, UNSEEN, Clock, WayFinder, WaysFound, w
 from flockopt import Scene, generate, refine_bundles
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.bundles.exact.exact import solve_exact
-from flockopt.certificate.judge import certify
-from flockopt.flights.apart.deconflict import deconflict
 from flockopt.flights.decode import decode
-from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.planning.finish import GivenFlights, finish
 from flockopt.records.arrays import FloatArray
+from flockopt.records.status import Status
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
@@ -115,11 +113,9 @@ def _judged(scene: Scene, outcome: WaysFound, travel: Travel) -> tuple[float, bo
     clock = Clock()
     flights = decode(scene, outcome.bundles, outcome.samples, travel=outcome.travel)
     flights_s = outcome.ways_s + clock.read()[0]
-    flights = deconflict(scene, outcome.bundles, flights, travel=travel).flights
     proof = lower_bound(scene, travel, bound="fast")
-    cost = plan_cost(travel, outcome.bundles, flights, proof)
-    plan = dataclasses.replace(draft_plan(scene, "scalability", outcome.bundles), flights=flights, cost=cost)
-    return flights_s, certify(scene, plan, travel=travel, bound=proof).certified
+    made = finish(scene, travel, outcome.bundles, GivenFlights(flights), planner="scalability", proof=proof)
+    return flights_s, made.status == Status.CERTIFIED
 
 
 def _column(records: list[Record], pipeline: str, tasks: int, key: str) -> FloatArray:

@@ -25,12 +25,12 @@ from flockopt.batches.progress import ProgressBar
 from flockopt.bundles.exact.exact import solve_exact
 from flockopt.bundles.explain import explained
 from flockopt.cli.status import run_command
-from flockopt.planning.planners import PLANNERS, Proposal, Request, classical
+from flockopt.planning.planners import PLANNERS, Planner, Proposal, Request
 from flockopt.records import checks
 from flockopt.scene import Scene
 from flockopt.scene.families.layouts import FAMILIES
 from learned.paths.ways import PATHS, find_ways
-from learned.teacher import planner as learned_planner
+from learned.teacher.planner import MAGNNET, MAGNNET_BUNDLING, TEACHER, TEACHER_UNREFINED, refined
 from sim.trials.batch import run_batch
 from sim.trials.journal import Journal
 from sim.trials.trial import Result, Trial, run_trial
@@ -44,18 +44,21 @@ PROOF_S = 60.0
 Method: TypeAlias = Callable[[Request], tuple[Proposal, dict[str, float]]]
 
 
-def _plainly(planner: Callable[[Request], Proposal], request: Request) -> tuple[Proposal, dict[str, float]]:
-    return planner(request), {}
+def _plainly(planner: Planner, request: Request) -> tuple[Proposal, dict[str, float]]:
+    return planner.propose(request), {}
 
 
 def _nearest(request: Request) -> Proposal:
     return Proposal(nearest_task(request.scene, request.travel, request.seed))
 
 
-def _then_refined(planner: Callable[[Request], Proposal], request: Request) -> tuple[Proposal, dict[str, float]]:
+NEAREST = Planner(_nearest, "nearest")
+
+
+def _then_refined(planner: Planner, request: Request) -> tuple[Proposal, dict[str, float]]:
     """The same refinement as the teacher's after another method: what it is worth by itself."""
-    first = planner(request)
-    (routes,) = learned_planner.refined([request.scene], [request.travel], [first.bundles.routes])
+    first = planner.propose(request)
+    (routes,) = refined([request.scene], [request.travel], [first.bundles.routes])
     return replace(first, bundles=explained(request.scene, request.travel, routes)), {}
 
 
@@ -66,14 +69,14 @@ def _exact(request: Request) -> tuple[Proposal, dict[str, float]]:
 
 #: Methods by name, in the order of the table.
 METHODS: dict[str, Method] = {
-    "magnnet": partial(_plainly, learned_planner.magnnet),
-    "magnnet-bundling": partial(_plainly, learned_planner.magnnet_bundling),
-    "teacher": partial(_plainly, learned_planner.teacher),
-    "teacher-unrefined": partial(_plainly, learned_planner.teacher_unrefined),
-    "magnnet-bundling-refined": partial(_then_refined, learned_planner.magnnet_bundling),
-    "nearest": partial(_plainly, _nearest),
-    "nearest-refined": partial(_then_refined, _nearest),
-    "search": partial(_plainly, classical),
+    "magnnet": partial(_plainly, MAGNNET),
+    "magnnet-bundling": partial(_plainly, MAGNNET_BUNDLING),
+    "teacher": partial(_plainly, TEACHER),
+    "teacher-unrefined": partial(_plainly, TEACHER_UNREFINED),
+    "magnnet-bundling-refined": partial(_then_refined, MAGNNET_BUNDLING),
+    "nearest": partial(_plainly, NEAREST),
+    "nearest-refined": partial(_then_refined, NEAREST),
+    "search": partial(_plainly, PLANNERS["classical"]),
     "exact": _exact,
 }
 
@@ -146,22 +149,17 @@ def _tell(bar: ProgressBar, method: str, result: Result) -> None:
 def fly(trial: Trial) -> Result:
     """Allocate by the method that the trial's planner names, plan, fly, and price the bundles on voxel grids too."""
     known: dict[str, Any] = {}
+    name = str(trial.planner)
 
     def propose(request: Request) -> Proposal:
-        proposal, more = METHODS[trial.planner](request)
+        proposal, more = METHODS[name](request)
         known.update(more, proposal=proposal, scene=request.scene)
         return proposal
 
-    # a name of its own, since other threads fly other scenes by the same method
-    name = f"{trial.planner}:{trial.key}"
-    PLANNERS[name] = propose
-    try:
-        result = run_trial(replace(trial, planner=name))
-    finally:
-        del PLANNERS[name]
+    result = run_trial(replace(trial, planner=Planner(propose, name)))
     proposal, scene = known.pop("proposal", None), known.pop("scene", None)
     costs = {} if proposal is None else _voxel_costs(scene, proposal)
-    return Result(result.key, {**result.row, "planner": trial.planner, **known, **costs}, result.timing)
+    return Result(result.key, {**result.row, **known, **costs}, result.timing)
 
 
 def _voxel_costs(scene: Scene, proposal: Proposal) -> dict[str, float]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import TypeVar
@@ -24,14 +24,15 @@ import numpy as np
 import torch
 
 from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
-from flockopt import Scene, certify, compute_travel, decode, deconflict, generate, refine_bundles
+from flockopt import Scene, compute_travel, decode, generate, refine_bundles
 from flockopt.bundles import Bundles
 from flockopt.flights import Flight
 from flockopt.flights.smoothing.improve import MOTIONLESS, SMOOTHED
 from flockopt.flights.smoothing.proposals import Proposed, fly_proposals
 from flockopt.flights.smoothing.smooth import Smoothed, smooth_each
 from flockopt.flights.smoothing.stages import squared_jerk
-from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.planning.finish import GivenFlights, finish
+from flockopt.records.status import Status
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.travel import Travel
 from learned.smoother.smoother import WEIGHTS, NetworkProposer, shipped_timed
@@ -128,16 +129,14 @@ def _record(
     case: DecodedFleet, way: str, reports: Mapping[str, Proposed | Smoothed], moving: list[str], seconds: float
 ) -> Record:
     chosen = {name: each.flight for name, each in reports.items()}
-    apart = deconflict(case.scene, case.bundles, chosen, travel=case.travel).flights
-    cost = plan_cost(case.travel, case.bundles, apart, None)
-    draft = replace(draft_plan(case.scene, "search", case.bundles), flights=apart, cost=cost)
-    certified = certify(case.scene, draft, travel=case.travel, bound=None).certified
+    made = finish(case.scene, case.travel, case.bundles, GivenFlights(chosen), planner="search")
+    certified = made.status == Status.CERTIFIED
     at_once = [getattr(reports[name], "at_once", False) for name in moving]
     in_part = [way == NETWORK and reports[name].status == SMOOTHED for name in moving]
     return {
         "way": way, "moving": len(moving), "at_once": sum(at_once), "in_part": sum(in_part), "certified": certified,
-        "status": "certified" if certified else "uncertified", "all_at_once": certified and all(at_once),
-        "all_in_part": certified and all(in_part), "makespan_s": cost.makespan,
+        "status": made.status, "all_at_once": certified and all(at_once),
+        "all_in_part": certified and all(in_part), "makespan_s": made.cost.makespan,
         "cost": float(np.mean([reports[name].cost_after / reports[name].cost_before for name in moving])),
         "jerk": sum(map(_jerk, chosen.values())) / sum(map(_jerk, case.flights.values())),
         "iterations": sum(getattr(each, "iterations", 0) for each in reports.values()), "seconds": seconds,

@@ -16,7 +16,7 @@ from flockopt import Scene, generate, refine_bundles
 from flockopt.bundles import Bundles
 from flockopt.errors import MissingExtra
 from flockopt.flights.waypoints import waypoints_from_samples
-from flockopt.planning.planners import Request, classical
+from flockopt.planning.planners import PLANNERS, Request
 from flockopt.records.arrays import FloatArray
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
@@ -31,7 +31,7 @@ from learned.student.planner import STEPS, drawn_plans, searched_plan, shipped_s
 from learned.student.pulling import ways_of
 from learned.student.scenes.batch import collate
 from learned.student.scenes.examples import example
-from learned.teacher.planner import magnnet_bundling
+from learned.teacher.planner import MAGNNET_BUNDLING
 
 __all__ = ["BATCHES", "NAMES", "OPENVINO", "UNSEEN", "Clock", "WayFinder", "WaysFound", "way_finders"]
 
@@ -144,7 +144,7 @@ def classically(scene: Scene, seed: int) -> WaysFound:
     """Any-angle travel and search."""
     clock = Clock()
     travel = compute_travel(scene)
-    bundles = classical(Request(scene, travel, None, seed)).bundles
+    bundles = PLANNERS["classical"].propose(Request(scene, travel, None, seed)).bundles
     for drone, route in enumerate(bundles):
         route_legs(scene, drone, route, travel.path)
     seconds = clock.read()
@@ -154,7 +154,7 @@ def classically(scene: Scene, seed: int) -> WaysFound:
 def on_voxels(paths: str, scene: Scene, seed: int) -> WaysFound:
     """Dijkstra's costs, MAGNNET + bundling, A* legs."""
     clock = Clock()
-    proposal = magnnet_bundling(Request(scene, straight_travel(scene), None, seed, paths=paths))
+    proposal = MAGNNET_BUNDLING.propose(Request(scene, straight_travel(scene), None, seed, paths=paths))
     seconds = clock.read()
     return WaysFound(proposal.bundles, sum(map(_length, np.asarray(proposal.samples))), *seconds)
 

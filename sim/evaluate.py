@@ -145,7 +145,7 @@ def _trials(options: argparse.Namespace) -> list[Trial]:
     scenes = checks.integer(SettingsError, "scenes", options.scenes, least=1)
     seed = checks.integer(SettingsError, "seed", options.seed, least=0)
     options.jobs = checks.integer(SettingsError, "jobs", options.jobs, least=1)
-    find_planner(options.planner).check_paths(options.paths)
+    find_planner(options.planner).check(options.paths)
     checks.choice(SettingsError, "backend", options.backend, known=BACKENDS)
     if options.time_limit is not None:
         checks.number(SettingsError, "time-limit", options.time_limit, above=0.0)

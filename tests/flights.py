@@ -57,5 +57,7 @@ def worst_separation(scene: Scene, flights: dict) -> float:
         for record in scene.drones
     ]
     end = max(curve[0][-1] for curve in curves)
-    axes = np.array(scene.separation_axes)
-    return min(least_separation(*a, *b, axes, 0.0, end, 1e-6, np.inf)[0] for a, b in itertools.combinations(curves, 2))
+    return min(
+        least_separation(*curves[i], *curves[j], scene.axes_between(i, j), 0.0, end, 1e-6, np.inf)[0]
+        for i, j in itertools.combinations(range(len(curves)), 2)
+    )

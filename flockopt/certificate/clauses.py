@@ -91,6 +91,9 @@ def _capacity(case: JudgedCase) -> Clause:
             length = case.travel.route_length(i, route)
             detail = f"drone {drone.id} travels {length:g} m; its max_distance is {drone.max_distance:g} m"
             worst.see(1.0 - length / drone.max_distance + LIMIT_TOLERANCE, drone=drone.id, detail=detail)
+            flown = case.plan.flights[drone.id].curve.length if drone.id in case.plan.flights else 0.0
+            detail = f"drone {drone.id} flies {flown:g} m; its max_distance is {drone.max_distance:g} m"
+            worst.see(1.0 - flown / drone.max_distance + LIMIT_TOLERANCE, drone=drone.id, detail=detail)
     return worst.clause("capacity", "fraction")
 
 
@@ -209,7 +212,7 @@ def _in_space(engine: str) -> dict[str, Callable[[JudgedCase], Clause]]:
         worst, nearest = Worst(), ENGINES[engine].separation(case)
         if nearest is not None:
             one, other = case.scene.drones[nearest.drone].id, case.scene.drones[nearest.other].id
-            detail = f"drones {one} and {other} are {-nearest.margin:g} m nearer to each other than the separation"
+            detail = f"drones {one} and {other} are {-nearest.margin:g} m nearer to each other than they may be"
             worst.see(nearest.margin, drone=one, other_drone=other, time=nearest.time, place=nearest.place, detail=detail)
         return worst.clause("separation", "m", SEPARATION_TOLERANCE_M)
 

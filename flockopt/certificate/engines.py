@@ -10,7 +10,6 @@ import numpy as np
 from flockopt.certificate import fcl_engine
 from flockopt.certificate.case import RESOLUTION_M, JudgedCase, Nearest
 from flockopt.geometry.continuous import least_clearance, least_separation
-from flockopt.records.arrays import FloatArray
 
 __all__ = ["ENGINES", "Engine"]
 
@@ -39,25 +38,25 @@ def _clearance(case: JudgedCase) -> Nearest | None:
 
 
 def _separation(case: JudgedCase) -> Nearest | None:
-    if case.scene.separation == 0.0:
-        return None
-    axes, nearest, least = np.array(case.scene.separation_axes), None, np.inf
-    for gap, i, j in _pairs_by_gap(case, axes):
+    nearest, least = None, np.inf
+    for gap, i, j in _pairs_by_gap(case):
         if gap > least:
             break
+        axes = case.scene.axes_between(i, j)
         margin, time = least_separation(*case.curves[i], *case.curves[j], axes, 0.0, case.makespan, RESOLUTION_M, least)
         if time >= 0.0 and margin < least:
             least, nearest = margin, Nearest(margin, time, case.place(i, time), i, j)
     return nearest
 
 
-def _pairs_by_gap(case: JudgedCase, axes: FloatArray) -> Iterator[tuple[float, int, int]]:
+def _pairs_by_gap(case: JudgedCase) -> Iterator[tuple[float, int, int]]:
     """Pairs of drones, nearest first, with a margin in metres that boxes around their whole curves leave at least."""
     lowers = np.array([control.min(axis=(0, 2)) for control in case.controls])  # (N, 3) m
     uppers = np.array([control.max(axis=(0, 2)) for control in case.controls])
     first, second = np.triu_indices(len(lowers), 1)
-    apart = np.maximum(np.maximum(lowers[first] - uppers[second], lowers[second] - uppers[first]), 0.0) / axes
-    gaps = (np.linalg.norm(apart, axis=1) - 1.0) * axes[0]
+    apart = np.maximum(np.maximum(lowers[first] - uppers[second], lowers[second] - uppers[first]), 0.0)
+    axes = case.scene.axes_between(first, second)  # (P, 3)
+    gaps = (np.linalg.norm(apart / axes, axis=1) - 1.0) * axes[:, 0]
     for pair in np.argsort(gaps, kind="stable"):
         yield float(gaps[pair]), int(first[pair]), int(second[pair])
 

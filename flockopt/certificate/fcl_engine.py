@@ -53,25 +53,24 @@ def least_clearance(scene: Scene, plan: Plan) -> Nearest | None:
 
 
 def least_separation(scene: Scene, plan: Plan) -> Nearest | None:
-    """The two drones and the moment that come nearest; None where nothing has to be kept apart.
+    """The two drones and the moment that come nearest; None for one drone.
 
-    Space is scaled so that the ellipsoid of `Scene.separation_axes` becomes the unit ball: then one drone as seen from
-    the other is a point that stays out of it.
+    Space is scaled so that the ellipsoid between the two becomes the unit ball: then one drone as seen from the other is a
+    point that stays out of it.
 
     Raises:
         MissingExtra: If python-fcl is not installed.
     """
     gauge = _Gauge()
-    if scene.separation == 0.0:
-        return None
-    axes, motions = np.array(scene.separation_axes), _motions(scene, plan)
-    scale = float(axes[0])
+    motions = _motions(scene, plan)
     other, origin, need = [gauge.point()], np.zeros((1, 2, 3)), np.ones(1)
     nearest = None
-    for gap, i, j in _pairs_by_gap(motions, axes):
+    for gap, i, j in _pairs_by_gap(scene, motions):
         known = np.inf if nearest is None else nearest.margin
         if gap >= known:
             break
+        axes = _axes(scene, i, j)
+        scale = float(axes[0])
         margin, time, hit = _search(
             gauge, relative_slices(motions[i], motions[j], axes), other, origin, need, known / scale, RESOLUTION_M / scale
         )
@@ -193,13 +192,20 @@ def _by_bound(parts: FloatArray, boxes: FloatArray, needs: FloatArray) -> Iterat
         yield float(bounds[s, k]), s, k
 
 
-def _pairs_by_gap(motions: list[Motion], axes: FloatArray) -> Iterator[tuple[float, int, int]]:
+def _axes(scene: Scene, i: int, j: int) -> FloatArray:
+    """(3,) m, half axes of the ellipsoid that two drones keep: the separation's, no smaller across than both bodies."""
+    across = max(scene.separation, scene.drones[i].radius + scene.drones[j].radius)
+    return np.array([across, across, across if scene.separation_z is None else scene.separation_z])
+
+
+def _pairs_by_gap(scene: Scene, motions: list[Motion]) -> Iterator[tuple[float, int, int]]:
     """(margin in metres that boxes around whole motions leave, drone, drone), the smallest first."""
     boxes = [slices(whole).boxes() for whole in motions]
     lowers, uppers = np.array([box[:, 0].min(axis=0) for box in boxes]), np.array([box[:, 1].max(axis=0) for box in boxes])
     first, second = np.triu_indices(len(motions), 1)
-    apart = np.maximum(np.maximum(lowers[first] - uppers[second], lowers[second] - uppers[first]), 0.0) / axes
-    gaps = (np.linalg.norm(apart, axis=1) - 1.0) * axes[0]
+    apart = np.maximum(np.maximum(lowers[first] - uppers[second], lowers[second] - uppers[first]), 0.0)
+    axes = np.array([_axes(scene, i, j) for i, j in zip(first, second, strict=True)]).reshape(-1, 3)
+    gaps = (np.linalg.norm(apart / axes, axis=1) - 1.0) * axes[:, 0]
     for pair in np.argsort(gaps, kind="stable"):
         yield float(gaps[pair]), int(first[pair]), int(second[pair])
 

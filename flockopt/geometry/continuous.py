@@ -270,7 +270,7 @@ def least_separation(
         co_a: (K, 3, D), its coefficients.
         bp_b: (L + 1,) s.
         co_b: (L, 3, E).
-        axes: (3,) m, half axes of the ellipsoid to stay out of (`Scene.separation_axes`), all > 0.
+        axes: (3,) m, half axes of the ellipsoid to stay out of (`Scene.axes_between`), all > 0.
         start: Seconds.
         end: Seconds, >= start.
         tolerance: Metres the answer may lie below the true margin; it never lies above.

@@ -14,7 +14,7 @@ import numpy as np
 from flockopt.bundles import Bundles
 from flockopt.records.status import Status
 from flockopt.scene import Scene
-from flockopt.scene.apart import ROUNDING, least_apart, shares_apart
+from flockopt.scene.apart import ROUNDING, is_grounded, least_apart, shares_apart
 
 __all__ = ["grounded_in_the_way"]
 
@@ -28,7 +28,7 @@ def grounded_in_the_way(scene: Scene) -> Bundles | None:
     Returns:
         Empty bundles, infeasible, with the reason and the tasks that nobody can serve.
     """
-    grounded = [i for i, drone in enumerate(scene.drones) if _is_grounded(scene, i)]
+    grounded = [i for i, drone in enumerate(scene.drones) if is_grounded(drone)]
     if not grounded:
         return None
     ends = list(_ends_near(scene, grounded))
@@ -38,11 +38,6 @@ def grounded_in_the_way(scene: Scene) -> Bundles | None:
         return None
     named = reasons[:MOST_NAMED] + ["..."] * (len(reasons) > MOST_NAMED)
     return Bundles(((),) * scene.num_drones, tuple(tasks.items()), Status.INFEASIBLE, "; ".join(named))
-
-
-def _is_grounded(scene: Scene, i: int) -> bool:
-    drone = scene.drones[i]
-    return drone.capacity == 0 and drone.end is None and not any((*drone.velocity, *drone.acceleration))
 
 
 def _ends_near(scene: Scene, grounded: list[int]) -> Iterator[str]:

@@ -95,7 +95,8 @@ class DecodedFlights:
         if self.smoothing or self.smoother is not None:
             with clock.stage("smooth", 0.65):
                 better = flights if self.smoother is None else self.smoother(scene, flights)
-                flights = smooth(scene, flights, starts=better) if self.smoothing else better
+                better = smooth(scene, flights, starts=better) if self.smoothing else better
+                flights = _within_range(scene, flights, better)
         return flights
 
     def again(self, apart: Deconflicted) -> None:
@@ -165,6 +166,13 @@ def finish(
             break
     status = Status.CERTIFIED if certificate.certified else Status.UNCERTIFIED
     return replace(draft, status=status, certificate=certificate)
+
+
+def _within_range(scene: Scene, flights: dict[str, Flight], better: dict[str, Flight]) -> dict[str, Flight]:
+    """The better flights, but for drones that would fly farther than they may."""
+    longest = {drone.id: drone.max_distance for drone in scene.drones if drone.max_distance is not None}
+    too_long = {name for name, most in longest.items() if name in better and better[name].curve.length > most}
+    return better | {name: flights[name] for name in too_long}
 
 
 def _draft(scene: Scene, planner: str, bundles: Bundles) -> Plan:

@@ -24,6 +24,7 @@ from flockopt.geometry.distances import distances
 from flockopt.geometry.kernels import segment_distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Bounds, Box, Cylinder, Obstacle, Scene
+from flockopt.scene.apart import least_resting_share
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
 from flockopt.travel.travel import stops_of
@@ -88,14 +89,15 @@ def _farther_apart(scene: Scene, separation_m: float) -> Scene:
 
     Where it is an ellipsoid, all its axes grow by the same factor: so it holds the old one moved by ``separation_m`` any way.
     """
-    if scene.separation == 0.0 or scene.num_drones < 2:
+    if scene.num_drones < 2:
         return scene
-    axes = np.array(scene.separation_axes)
+    axes = scene.widest_axes
     scaled = scene.starts / axes
     least = min(float(np.linalg.norm(scaled[:i] - scaled[i], axis=1).min()) for i in range(1, len(scaled)))
+    least = min(least, least_resting_share(scene))
     factor = 1.0 + min(separation_m / float(axes.min()), ROOM_SHARE * max(least - 1.0, 0.0))
     tall = None if scene.separation_z is None else factor * scene.separation_z
-    return scene.replace(separation=factor * scene.separation, separation_z=tall)
+    return scene if factor == 1.0 else scene.replace(separation=factor * float(axes[0]), separation_z=tall)
 
 
 def _growth(scene: Scene, bundles: Bundles, clearance_m: float) -> FloatArray:

@@ -45,12 +45,13 @@ def plan(scene: Scene, settings: PlanSettings | None = None, *, progress: Report
         (`Plan.settings`).
 
     Raises:
-        SettingsError: On a setting that is none or out of range, an unknown planner, or paths that the planner does not know.
+        SettingsError: On a setting that is none or out of range, an unknown planner, or paths or a backend that the planner
+            does not know.
         MissingExtra: If what the planner or smoothing needs is not installed.
     """
     settings = PlanSettings.of(settings, keywords)
     planner = find_planner(settings.planner)
-    planner.check_paths(settings.paths)
+    planner.check(settings.paths, settings.backend)
     if settings.smoothing:
         load_casadi()
     clock = Clock(progress)

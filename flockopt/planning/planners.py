@@ -99,6 +99,7 @@ class Planner:
         name: What plan files call it; the function's own name where it is left empty.
         paths: What its drones can fly along.
         is_ready: Whether all that it needs is there (weights, libraries), beyond what its module imports.
+        takes_backend: Whether it heeds `Request.backend`: it has networks.
         rank: Where no planner is named, the ready one of the highest rank plans; 0 is never chosen unasked.
     """
 
@@ -106,6 +107,7 @@ class Planner:
     name: str = ""
     paths: tuple[str, ...] = (ANY_ANGLE,)
     is_ready: Callable[[], bool] = _always
+    takes_backend: bool = False
     rank: int = 0
 
     def __post_init__(self) -> None:
@@ -117,12 +119,15 @@ class Planner:
         object.__setattr__(self, "name", checks.text(SettingsError, "name", name))
         object.__setattr__(self, "paths", tuple(self.paths))
 
-    def check_paths(self, paths: str) -> None:
-        """Refuse paths that its drones cannot fly along.
+    def check(self, paths: str = ANY_ANGLE, backend: str | None = None) -> None:
+        """Refuse paths that its drones cannot fly along, and a backend where it has no networks.
 
         Raises:
-            SettingsError: Naming those that they can.
+            SettingsError: Naming the setting, and what could be chosen.
         """
+        if backend is not None and not self.takes_backend:
+            rule = f"planner {self.name!r} has no networks that a backend could compute"
+            raise SettingsError("backend", f"is {backend!r}", rule, "leave it out, or choose another planner")
         if paths not in self.paths:
             rule = f"must be one of {', '.join(self.paths)} for planner {self.name!r}"
             raise SettingsError("paths", f"is {paths!r}", rule, "choose one, or another planner")

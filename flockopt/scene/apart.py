@@ -6,58 +6,63 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flockopt.errors import SceneError
 from flockopt.records.arrays import FloatArray
 
 if TYPE_CHECKING:
+    from flockopt.scene.parts import Drone
     from flockopt.scene.scene import Scene
 
-__all__ = ["axes_between", "check_ends_apart", "least_apart", "shares_apart"]
+__all__ = ["check_ends_apart", "is_grounded", "least_apart", "least_resting_share", "shares_apart"]
 
 #: What rounding may take of the distance that must be kept.
 ROUNDING = 1e-9
 
 
-def axes_between(scene: Scene, i: int, j: int) -> FloatArray:
-    """Half axes of the ellipsoid around drone i that the centre of drone j stays out of, (3,) m.
-
-    The separation of the scene, and at least what keeps their bodies from overlapping.
-    """
-    bodies = scene.drones[i].radius + scene.drones[j].radius
-    return np.maximum(np.array(scene.separation_axes), bodies)
+def is_grounded(drone: Drone) -> bool:
+    """Whether a drone never moves: it can serve nothing, has nowhere to go, and is at rest."""
+    return drone.capacity == 0 and drone.end is None and not any((*drone.velocity, *drone.acceleration))
 
 
 def shares_apart(scene: Scene, i: int, here: FloatArray, j: int, there: FloatArray) -> FloatArray:
     """How far drone i at ``here`` is from drone j at each of ``there`` (P, 3), as shares (P,) of what must be kept."""
-    shares: FloatArray = np.linalg.norm((there - here) / axes_between(scene, i, j), axis=1)
+    shares: FloatArray = np.linalg.norm((there - here) / scene.axes_between(i, j), axis=1)
+    return shares
+
+
+def least_resting_share(scene: Scene) -> float:
+    """How near two drones come for good, at ends and where grounded ones stand, as a share of what must be kept."""
+    places = scene.ends.copy()
+    grounded = [i for i, drone in enumerate(scene.drones) if is_grounded(drone)]
+    places[grounded] = scene.starts[grounded]
+    resting = np.flatnonzero(~np.isnan(places[:, 0]))
+    return min((float(_shares(scene, places, resting[:rank], i).min()) for rank, i in enumerate(resting) if rank), default=np.inf)
+
+
+def _shares(scene: Scene, places: FloatArray, others: NDArray[np.int64], i: int) -> FloatArray:
+    """How far each of some drones is from drone i at these places (N, 3), as shares of what must be kept."""
+    shares: FloatArray = np.linalg.norm((places[others] - places[i]) / scene.axes_between(others, i), axis=1)
     return shares
 
 
 def least_apart(scene: Scene, i: int, j: int) -> str:
     """What two drones must keep, in words."""
-    bodies = scene.drones[i].radius + scene.drones[j].radius
-    if max(scene.separation_axes) <= bodies:
-        return f"at least the sum of their radii ({bodies:g} m)"
-    tall = "" if scene.separation_z is None else f", {axes_between(scene, i, j)[2]:g} m upwards"
-    return f"at least the separation ({axes_between(scene, i, j)[0]:g} m{tall})"
+    flat, _, tall = scene.axes_between(i, j)
+    if flat > scene.separation:
+        return f"at least the sum of their radii ({flat:g} m)"
+    return f"at least the separation ({flat:g} m{'' if tall == flat else f', {tall:g} m upwards'})"
 
 
 def check_ends_apart(scene: Scene) -> None:
     """Refuse two ends, those at drones' starts included, at which both drones cannot rest."""
-    with_end = [i for i, drone in enumerate(scene.drones) if drone.end is not None]
-    ends = scene.ends[with_end]
+    with_end = np.flatnonzero(~np.isnan(scene.ends[:, 0]))
     for rank, i in enumerate(with_end[1:], start=1):
-        near = np.linalg.norm(ends[:rank] - ends[rank], axis=1) < _widest(scene, i)
-        for other in np.flatnonzero(near):
-            j = with_end[other]
-            if shares_apart(scene, i, ends[rank], j, ends[other : other + 1])[0] < 1.0 - ROUNDING:
-                raise SceneError(
-                    f"drones[{i}].end", f"is {math.dist(ends[rank], ends[other]):.4g} m from drones[{j}].end",
-                    f"ends must be {least_apart(scene, i, j)} apart, for both drones rest there", "move one of them",
-                )  # fmt: skip
-
-
-def _widest(scene: Scene, i: int) -> float:
-    """No other drone must keep farther from drone i than this, metres."""
-    return max(*scene.separation_axes, scene.drones[i].radius + float(scene.radii.max()))
+        shares = _shares(scene, scene.ends, with_end[:rank], i)
+        if shares.min() < 1.0 - ROUNDING:
+            j = with_end[int(shares.argmin())]
+            raise SceneError(
+                f"drones[{i}].end", f"is {math.dist(scene.ends[i], scene.ends[j]):.4g} m from drones[{j}].end",
+                f"ends must be {least_apart(scene, i, j)} apart, for both drones rest there", "move one of them",
+            )  # fmt: skip

@@ -79,12 +79,16 @@ class Scene:
         for field in ("drones", "tasks", "obstacles"):
             object.__setattr__(self, field, tuple(getattr(self, field)))
         checks.store(self, quantities.width, SceneError, "clearance", "separation")
+        if not self.drones:
+            raise SceneError("drones", "is empty", "a fleet has at least one drone", "add a drone")
         if self.separation_z is not None:
             checks.store(self, quantities.measure, SceneError, "separation_z")
             if self.separation == 0.0:
                 raise SceneError("separation", "is 0", "must be > 0 where separation_z is given", "give both or neither")
-        if not self.drones:
-            raise SceneError("drones", "is empty", "a fleet has at least one drone", "add a drone")
+            bodies = sum(sorted(drone.radius for drone in self.drones)[-2:])
+            if len(self.drones) > 1 and self.separation_z < bodies:
+                rule = f"must be >= the radii of the two largest drones together = {bodies:g} m, or bodies could overlap"
+                raise SceneError("separation_z", f"is {self.separation_z:g}", rule, "raise it, or leave it out")
         for field in ("drones", "tasks", "obstacles"):
             checks.unique(SceneError, field, [record.id for record in getattr(self, field)])
         for kind, field, records in (("tasks", "demand", self.tasks), ("drones", "capacity", self.drones)):
@@ -154,10 +158,27 @@ class Scene:
 
         return free_space(self.obstacle_table, needs, (self.bounds.lower, self.bounds.upper), self.obstacle_boxes)
 
-    @property
-    def separation_axes(self) -> Point:
-        """Half axes of the ellipsoid around a drone that other drones' centres stay out of, metres."""
-        return (self.separation, self.separation, self.separation if self.separation_z is None else self.separation_z)
+    def axes_between(self, one: ArrayLike, other: ArrayLike) -> FloatArray:
+        """Half axes of the ellipsoid around a drone that another drone's centre stays out of, (..., 3) m.
+
+        They are the separation's, or the sum of the two radii where that is more: bodies never overlap, whatever a scene asks.
+
+        Args:
+            one: Indices of drones.
+            other: Of the others, of a shape that goes with it.
+        """
+        bodies = self.radii[one] + self.radii[other]
+        flat = np.maximum(self.separation, bodies)
+        tall = flat if self.separation_z is None else np.full_like(flat, self.separation_z)
+        return np.stack([flat, flat, tall], axis=-1)
+
+    @cached_property
+    def widest_axes(self) -> FloatArray:
+        """(3,) m, half axes that hold those between any two drones: what keeps the two largest apart."""
+        largest = np.argsort(self.radii)[-2:]
+        axes = self.axes_between(largest[0], largest[-1])
+        axes.setflags(write=False)
+        return axes
 
     # -- files ----------------------------------------------------------------------------------------------
 
@@ -234,18 +255,13 @@ class Scene:
                 )  # fmt: skip
 
     def _check_starts_apart(self) -> None:
-        if self.separation == 0.0:
-            return
-        scaled = self.starts / np.array(self.separation_axes)
-        for i in range(1, len(scaled)):
-            apart = np.linalg.norm(scaled[:i] - scaled[i], axis=1)
+        for i in range(1, self.num_drones):
+            apart = np.linalg.norm((self.starts[:i] - self.starts[i]) / self.axes_between(np.arange(i), i), axis=1)
             j = int(apart.argmin())
             if apart[j] < 1 - POSITION_TOLERANCE_M:
-                metres = math.dist(self.drones[i].start, self.drones[j].start)
-                raise SceneError(
-                    f"drones[{i}].start", f"is {metres:.4g} m from drones[{j}].start",
-                    f"starts must be at least the separation apart ({self.separation:g} m)", "move one of them",
-                )  # fmt: skip
+                metres, need = math.dist(self.drones[i].start, self.drones[j].start), float(self.axes_between(i, j)[0])
+                rule = f"starts must be apart by the separation and by both radii: {need:g} m"
+                raise SceneError(f"drones[{i}].start", f"is {metres:.4g} m from drones[{j}].start", rule, "move one of them")
 
 
 def _frozen(values: list[Any], width: int | None = None) -> FloatArray:

@@ -11,21 +11,20 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flockopt import SettingsError, certify, compute_travel, decode, deconflict, refine_bundles
-from flockopt.bundles import Bundles
+from flockopt import SettingsError, compute_travel, decode, refine_bundles
 from flockopt.cli.status import run_command
 from flockopt.flights import Flight
 from flockopt.flights.smoothing.smooth import Smoothed, smooth_each
 from flockopt.flights.smoothing.stages import split
-from flockopt.planning.finish import draft_plan, plan_cost
+from flockopt.planning.finish import GivenFlights, finish
 from flockopt.records import checks
+from flockopt.records.status import Status
 from flockopt.scene import Scene
-from flockopt.travel import Travel
 from learned.demonstrations.array_files import Arrays
 from learned.demonstrations.command import add_options, mix_of, write_with_bar
 from learned.demonstrations.scenes import SceneMix, draw_scene, random_bundles
@@ -76,18 +75,12 @@ def _demonstrated(mix: SceneMix, seed: int) -> TimedScene:
     room = scene.replace(clearance=scene.clearance + mix.margin)
     travel = compute_travel(room)
     bundles = random_bundles(room, seed) if is_hard else refine_bundles(room, travel=travel, seed=seed)
-    given = {} if bundles.status == "infeasible" else decode(room, bundles, travel=travel)
+    given = {} if bundles.status == Status.INFEASIBLE else decode(room, bundles, travel=travel)
     reports = smooth_each(room, given)
-    certified = bool(given) and _is_certified(room, travel, bundles, {name: each.flight for name, each in reports.items()})
+    smoothed = GivenFlights({name: each.flight for name, each in reports.items()})
+    certified = bool(given) and finish(room, travel, bundles, smoothed, planner="search").status == Status.CERTIFIED
     stages = tuple(_stages(room, given, reports)) if certified else ()
     return TimedScene(seed, is_hard, room, certified, sum(each.iterations for each in reports.values()), stages)
-
-
-def _is_certified(scene: Scene, travel: Travel, bundles: Bundles, flights: dict[str, Flight]) -> bool:
-    """Whether the fleet's flights, kept apart, pass the judge."""
-    apart = deconflict(scene, bundles, flights, travel=travel).flights
-    draft = replace(draft_plan(scene, "search", bundles), flights=apart, cost=plan_cost(travel, bundles, apart, None))
-    return certify(scene, draft, travel=travel, bound=None).certified
 
 
 def _stages(scene: Scene, given: Mapping[str, Flight], reports: Mapping[str, Smoothed]) -> Iterator[StageRecord]:

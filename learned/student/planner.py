@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from learned.student.scenes.examples import Example
 
 __all__ = [
-    "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "drawn_plans", "hybrid", "learned", "learned_paper", "loaded_student",
+    "HYBRID", "LEARNED", "LEARNED_PAPER", "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "drawn_plans", "loaded_student",
     "searched_plan", "shipped_student",
 ]  # fmt: skip
 
@@ -85,19 +85,24 @@ def loaded_student(backend: str | None = None, path: Path = WEIGHTS) -> Loaded:
     return loaded(student, path, backend)
 
 
-def learned(request: Request, *, backend: str | None = None) -> Proposal:
+def learned(request: Request) -> Proposal:
     """The network's bundles and flights."""
-    return _drawn_proposal(loaded_student(backend).network, request)
+    return _drawn_proposal(loaded_student(request.backend), request)
 
 
-def learned_paper(request: Request, *, backend: str | None = None) -> Proposal:
+def learned_paper(request: Request) -> Proposal:
     """The same by the paper's configuration, which draws whole fleets: only torch computes that."""
-    return _drawn_proposal(loaded_student(backend, PAPER_WEIGHTS).network, request)
+    return _drawn_proposal(loaded_student(request.backend, PAPER_WEIGHTS), request)
 
 
-def _drawn_proposal(student: Network, request: Request) -> Proposal:
-    bundles, drawing, timing = drawn_plan(student, request)
-    return Proposal(bundles, None if drawing is None else drawing.samples, timing)
+def _drawn_proposal(student: Loaded, request: Request) -> Proposal:
+    bundles, drawing, timing = drawn_plan(student.network, request)
+    return Proposal(bundles, None if drawing is None else drawing.samples, timing, made_with=_told(student))
+
+
+def _told(student: Loaded) -> dict[str, str]:
+    """What a plan says of the student behind it."""
+    return {"backend": student.backend, "weights": student.digest}
 
 
 #: Bundles, the drawn fleet if it can be drawn, and seconds by stage.
@@ -134,11 +139,16 @@ def drawn_plans(student: Network, requests: Sequence[Request]) -> list[DrawnPlan
     return [(bundles, drawing, dict(timing)) for bundles, drawing in zip(found, drawings, strict=True)]
 
 
-def hybrid(request: Request, *, backend: str | None = None) -> Proposal:
+def hybrid(request: Request) -> Proposal:
     """The better of two searches, one of them guided by the network, and the networks' flights; else the classical plan."""
-    bundles, drawing, timing = searched_plan(loaded_student(backend).network, request)
+    student = loaded_student(request.backend)
+    bundles, drawing, timing = searched_plan(student.network, request)
     samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
-    return Proposal(bundles, samples, timing, otherwise=PLANNERS["classical"], smoother=smooth_flights)
+    from learned.networks.weight_files import file_digest
+
+    told = _told(student) | {"smoother_weights": load_once(file_digest, TIMED_WEIGHTS)}
+    classical = PLANNERS["classical"]
+    return Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights, made_with=told)
 
 
 def _is_ready() -> bool:
@@ -146,11 +156,11 @@ def _is_ready() -> bool:
     return all(path.exists() for path in (WEIGHTS, TIMED_WEIGHTS)) and all(map(find_spec, ("torch", "safetensors")))
 
 
-LEARNED = Planner(learned, is_ready=_is_ready)
-LEARNED_PAPER = Planner(learned_paper, "learned-paper", is_ready=_is_ready)
+LEARNED = Planner(learned, is_ready=_is_ready, takes_backend=True)
+LEARNED_PAPER = Planner(learned_paper, "learned-paper", is_ready=_is_ready, takes_backend=True)
 
 #: It plans where nobody is named and it is ready: its fleets are done sooner, and it is never farther in than ``classical``.
-HYBRID = Planner(hybrid, is_ready=_is_ready, rank=20)
+HYBRID = Planner(hybrid, is_ready=_is_ready, takes_backend=True, rank=20)
 
 
 def searched_plan(student: Network, request: Request) -> DrawnPlan:

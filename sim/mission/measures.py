@@ -58,8 +58,7 @@ def measure(
     served = tuple(task for task, metres in away.items() if metres <= service_radius)
     missed = {task: metres for task, metres in away.items() if metres > service_radius}
     mean, worst = _tracking(scene, flights, times, positions)
-    axes = np.array(scene.separation_axes)
-    scale = axes / axes[0] if axes[0] > 0.0 else np.ones(3)
+    scale = scene.widest_axes / scene.widest_axes[0]
     clearance = least_clearance(scene.obstacle_table, scene.obstacle_boxes, scene.radii, np.ascontiguousarray(positions))
     separation = least_separation(np.ascontiguousarray(positions / scale))
     return Measures(

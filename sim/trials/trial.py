@@ -12,7 +12,7 @@ from flockopt.certificate import Plan
 from flockopt.certificate.judge import certify
 from flockopt.errors import FlockError
 from flockopt.planning.pipeline import plan
-from flockopt.planning.planners import ANY_ANGLE
+from flockopt.planning.planners import ANY_ANGLE, Planner, find_planner
 from flockopt.planning.replan import FREEZE_S
 from flockopt.planning.settings import PlanSettings
 from flockopt.records.status import Status
@@ -65,7 +65,7 @@ class Trial:
         drones: How many.
         tasks: How many.
         seed: For the scene and the planner.
-        planner: Who plans.
+        planner: Who plans: a name, or the planner itself.
         time_limit_s: For the planner, seconds; None lets it stop by itself, the same way on every machine.
         settings: How to fly.
         force: Whether plans are flown that are not certified.
@@ -78,7 +78,7 @@ class Trial:
     drones: int
     tasks: int
     seed: int
-    planner: str = "classical"
+    planner: Planner | str = "classical"
     time_limit_s: float | None = None
     settings: FlightSettings = field(default_factory=FlightSettings)
     force: bool = False
@@ -133,7 +133,8 @@ class Trial:
 
     def blank_row(self) -> dict[str, Value]:
         """A row of `COLUMNS` for a flight that was not made."""
-        known = {"scene": self.key, "planner": self.planner, "family": self.family, "seed": self.seed, "drones": self.drones}
+        planner = find_planner(self.planner).name
+        known = {"scene": self.key, "planner": planner, "family": self.family, "seed": self.seed, "drones": self.drones}
         nothing = {
             "status": TrialStatus.ERROR,
             "planner_coverage": 0.0,

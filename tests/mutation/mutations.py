@@ -255,7 +255,7 @@ def _distances(scene: Scene, point: np.ndarray) -> np.ndarray:
 def cross(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
     """A drone darts 1 % too near to another one for an instant."""
     drone = _pick(rng, plan.flights)
-    if drone is None or scene.separation == 0.0 or scene.num_drones < 2:
+    if drone is None or scene.num_drones < 2:
         return None
     curve = plan.flights[drone].curve
     time = _moment(curve, rng)
@@ -266,8 +266,21 @@ def cross(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
     other = _pick(rng, (other for other in scene.drones if other.id != drone))
     there = plan.flights[other.id].curve(time) if other.id in plan.flights else np.array(other.start)
     apart = there - curve(time)
-    norm = float(np.linalg.norm(apart / np.array(scene.separation_axes)))
+    axes = scene.axes_between(_index(scene, drone), _index(scene, other.id))
+    norm = float(np.linalg.norm(apart / axes))
     return _dented(plan, drone, time, apart * (1.0 - 0.99 / norm)), "separation"
+
+
+def wander(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
+    """A flight strays from its route for an instant, farther in all than the drone may fly; its route is as long as it was."""
+    drone = _pick(rng, (drone for drone in scene.drones if drone.max_distance is not None and drone.id in plan.flights))
+    if drone is None:
+        return None
+    curve = plan.flights[drone.id].curve
+    time = _moment(curve, rng)
+    if time is None:
+        return None
+    return _dented(plan, drone.id, time, (drone.max_distance - curve.length + 0.01) * _direction(rng)), "capacity"
 
 
 def leave_bounds(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
@@ -384,6 +397,6 @@ def wrong_proof(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
 
 MUTATIONS: tuple[Callable[[Scene, Plan, np.random.Generator], Mutation], ...] = (
     swap_order, swap_visits, drop_task, serve_twice, forget_flight, overload,
-    move_anchor, mistime_visit, dip, cross, leave_bounds, hurry, jump, wrong_start, never_rest,
+    move_anchor, mistime_visit, dip, cross, wander, leave_bounds, hurry, jump, wrong_start, never_rest,
     wrong_bound, wrong_cost, wrong_gap, wrong_proof,
 )  # fmt: skip

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -42,7 +44,15 @@ def lane_scene(rng: np.random.Generator, *, lanes: int = 4, tasks_a_lane: int = 
             service = float(rng.choice([0.0, 1.5]))
             tasks.append(Task(f"t{lane}.{rank}", place, service_time=service))
     bounds = Bounds((0.0, -1.0, 0.0), (LENGTH_M, LANE_M * lanes + 1.0, HEIGHT_M))
-    return Scene("lanes", bounds, drones, tasks, obstacles, clearance=0.1, separation=0.4, separation_z=0.8)
+    drones[0] = replace(drones[0], max_distance=1.01 * _route_length(drones[0], tasks[:tasks_a_lane]))
+    apart = {"separation": 0.4, "separation_z": 0.8} if rng.integers(2) else {}  # without it, bodies count
+    return Scene("lanes", bounds, drones, tasks, obstacles, clearance=0.1, **apart)
+
+
+def _route_length(drone: Drone, tasks: list[Task]) -> float:
+    """Metres through the tasks in order, and on to the end."""
+    stops = [drone.start, *(task.position for task in tasks), *([drone.end_point] if drone.end_point is not None else [])]
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(stops))
 
 
 def plan_of_lanes(scene: Scene, rng: np.random.Generator, kind: str = "held-karp-forest") -> tuple[Plan, Travel]:

@@ -54,7 +54,7 @@ def deconflict(
     """Keep all drones apart over the whole time, parked ones included.
 
     Args:
-        scene: The scene; its separation (an ellipsoid if `separation_z` is given) counts between centres.
+        scene: The scene; what `Scene.axes_between` says counts between centres.
         bundles: The routes behind the flights, for drones that have to be flown another way.
         flights: One flight for each drone that moves, by id, as from `decode`; all begin at t = 0.
         travel: The scene's travel, if it is already there.
@@ -64,7 +64,7 @@ def deconflict(
         The flights, delayed, slowed or rerouted; every pair that could not be kept apart is listed, never hidden.
     """
     fleet = Fleet(scene, flights)
-    if scene.separation == 0.0 or not fleet.meeting():
+    if not fleet.meeting():
         return Deconflicted(flights, ())
     detours = Detours(scene, bundles, compute_travel(scene) if travel is None else travel, airborne)
     for _ in range(4 * scene.num_drones + 8):

@@ -11,7 +11,7 @@ from flockopt.bundles import Bundles
 from flockopt.flights import Flight
 from flockopt.flights.decode import fly
 from flockopt.flights.waypoints import Waypoints, waypoints_from_paths
-from flockopt.geometry.distances import SPHERE, distances
+from flockopt.geometry.distances import OBSTACLE_COLUMNS, SPHERE, distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -21,6 +21,9 @@ __all__ = ["Detours"]
 
 #: Room kept around what is flown around, and around a free spot, metres.
 DETOUR_RESERVE_M = 5e-3
+
+#: For small drones that is less: at most this share of what must lie between two of them.
+DETOUR_RESERVE_SHARE = 0.05
 
 #: Distances at which a free spot is looked for, in separations, and directions a ring.
 SPOT_RINGS = (1.1, 1.5, 2.0, 3.0, 5.0, 8.0)
@@ -39,7 +42,8 @@ class Detours:
 
     def __init__(self, scene: Scene, bundles: Bundles, travel: Travel, airborne: Collection[str] = ()) -> None:
         self.scene, self.bundles, self.travel, self.airborne = scene, bundles, travel, airborne
-        self.avoided: dict[int, list[FloatArray]] = {}
+        self.reserve_m = min(DETOUR_RESERVE_M, DETOUR_RESERVE_SHARE * float(scene.widest_axes[0]))
+        self.avoided: dict[int, list[tuple[int, FloatArray]]] = {}  # by drone: whom, and where
         self.spots: dict[int, FloatArray] = {}
 
     def resolve(
@@ -54,23 +58,38 @@ class Detours:
             meeting_s: When the two first meet if both set off at once; -1 if they don't.
         """
         parking = _position(curves[blocker], np.inf)
-        if self._inside(self._anchors(drone), parking).any():
-            if blocker not in self.spots and self._may_move_on(blocker):
-                spot = self._free_spot(blocker, parking, curves)
-                flight = None if spot is None else self._onward(blocker, spot)
-                if flight is not None:
-                    return blocker, flight
+        if self._inside(self._anchors(drone), parking, drone, blocker).any():
+            flight = self._moved_on(blocker, parking, curves)
+            if flight is not None:
+                return blocker, flight
         else:
-            flight = self._around(drone, parking)
+            flight = self._around(drone, blocker, parking)
+            if flight is not None:
+                return drone, flight
+        own = _position(curves[drone], np.inf)
+        if self._inside(self._anchors(blocker), own, blocker, drone).any():  # it is the drone itself that stays in the way
+            flight = self._moved_on(drone, own, curves)
             if flight is not None:
                 return drone, flight
         if meeting_s < 0.0:
             return None
         for one, other in ((drone, blocker), (blocker, drone)):
-            flight = self._around(one, _position(curves[other], meeting_s)) if self.bundles[one] else None
+            flight = self._around(one, other, _position(curves[other], meeting_s)) if self._travels(one) else None
             if flight is not None:
                 return one, flight
         return None
+
+    def _moved_on(self, drone: int, parking: FloatArray, curves: list[tuple[FloatArray, FloatArray]]) -> Flight | None:
+        """The flight of a drone that leaves the place where it would park; None if it may not, or did already."""
+        if drone in self.spots or not self._may_move_on(drone):
+            return None
+        spot = self._free_spot(drone, parking, curves)
+        return None if spot is None else self._onward(drone, spot)
+
+    def _travels(self, drone: int) -> bool:
+        """Whether a drone has somewhere to go: a task, or an end elsewhere."""
+        record = self.scene.drones[drone]
+        return bool(self.bundles[drone]) or record.end_point not in (None, record.start)
 
     def _anchors(self, drone: int) -> FloatArray:
         """Start, tasks and end of a drone, and its free spot if it has one: (K, 3) m."""
@@ -79,17 +98,18 @@ class Detours:
         anchors += [end] if not np.isnan(end).any() else []
         return np.vstack(anchors + ([self.spots[drone][None]] if drone in self.spots else []))
 
-    def _inside(self, points: FloatArray, center: FloatArray) -> FloatArray:
-        """Which points are within the separation of ``center``, the reserve included."""
-        axes = np.array(self.scene.separation_axes) + DETOUR_RESERVE_M
+    def _inside(self, points: FloatArray, center: FloatArray, drone: int, other: int) -> FloatArray:
+        """At which points a drone is too near to another one at ``center``, the reserve included."""
+        axes = self.scene.axes_between(drone, other) + self.reserve_m
         return np.asarray(np.linalg.norm((points - center) / axes, axis=-1) < 1.0)
 
-    def _around(self, drone: int, center: FloatArray) -> Flight | None:
-        """The drone's flight around everything it is to avoid and ``center`` too; None if there is no such way."""
+    def _around(self, drone: int, other: int, center: FloatArray) -> Flight | None:
+        """The drone's flight around everything it is to avoid and another at ``center`` too; None if there is no such way."""
         avoided = self.avoided.setdefault(drone, [])
-        if self._inside(self._anchors(drone), center).any() or any(np.allclose(center, known) for known in avoided):
+        is_known = any(np.allclose(center, known) for _, known in avoided)
+        if is_known or self._inside(self._anchors(drone), center, drone, other).any():
             return None
-        avoided.append(center)
+        avoided.append((other, center))
         waypoints = self._waypoints(drone)
         if waypoints is None:
             avoided.pop()
@@ -106,10 +126,12 @@ class Detours:
         return fly(self.scene, self.scene.drones[drone], waypoints, self._balls(drone))
 
     def _balls(self, drone: int) -> FloatArray:
-        """What the drone is to avoid, as obstacle rows: balls that hold the separation's ellipsoid."""
-        body = self.scene.drones[drone].radius + self.scene.clearance
-        radius = max(max(self.scene.separation_axes) - body, 0.0) + DETOUR_RESERVE_M
-        return np.array([(SPHERE, *center, *(radius,) * 3, 1.0, 0.0) for center in self.avoided.get(drone, [])]).reshape(-1, 9)
+        """What the drone is to avoid, as obstacle rows: balls that hold the ellipsoid that it keeps from the other."""
+        body, rows = self.scene.drones[drone].radius + self.scene.clearance, []
+        for other, center in self.avoided.get(drone, []):
+            radius = max(float(self.scene.axes_between(drone, other).max()) - body, 0.0) + self.reserve_m
+            rows.append((SPHERE, *center, *(radius,) * 3, 1.0, 0.0))
+        return np.array(rows).reshape(-1, len(OBSTACLE_COLUMNS))
 
     def _waypoints(self, drone: int) -> Waypoints | None:
         """The drone's waypoints with legs led around what it avoids, and on to its free spot; None if there is no way."""
@@ -146,16 +168,15 @@ class Detours:
 
     def _free_spot(self, drone: int, parking: FloatArray, curves: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
         """The nearest place, straight from ``parking``, where the drone stands in nobody's way."""
-        axes = np.array(self.scene.separation_axes)
+        axes = self.scene.widest_axes
         angles = np.arange(SPOT_DIRECTIONS) * 2 * np.pi / SPOT_DIRECTIONS
         ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(SPOT_DIRECTIONS)])
         tilted = [ring * np.cos(tilt) + np.array([0.0, 0.0, np.sin(tilt)]) for tilt in (0.0, 0.7, -0.7, 1.4, -1.4)]
         candidates = parking + np.vstack([distance * np.vstack(tilted) for distance in SPOT_RINGS]) * axes
-        taken = [self._anchors(other) for other in range(self.scene.num_drones) if other != drone]
-        taken.append(np.array([_position(curves[other], np.inf) for other in range(self.scene.num_drones) if other != drone]))
         free = ((candidates >= self.scene.bounds.lower) & (candidates <= self.scene.bounds.upper)).all(axis=1)
-        for point in np.vstack(taken):
-            free &= np.logical_not(self._inside(candidates, point))
+        for other in range(self.scene.num_drones):
+            for point in (*self._anchors(other), _position(curves[other], np.inf)) if other != drone else ():
+                free &= np.logical_not(self._inside(candidates, point, drone, other))
         free &= self._straight_ways(drone, parking, candidates)
         return candidates[int(free.argmax())] if free.any() else None
 
@@ -164,7 +185,7 @@ class Detours:
 
         need = self.scene.drones[drone].radius + self.scene.clearance
         slack = distances(self.scene.obstacle_table, parking).min(initial=np.inf) - need
-        space = self.scene.free_space(need + max(min(DETOUR_RESERVE_M, 0.5 * slack), 0.0))
+        space = self.scene.free_space(need + max(min(self.reserve_m, 0.5 * slack), 0.0))
         return np.array([segment_clear(space, parking, spot) for spot in candidates])
 
 

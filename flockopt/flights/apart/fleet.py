@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -11,11 +12,15 @@ from flockopt.errors import MissingExtra
 from flockopt.flights import Curve, Flight, Visit
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
+from flockopt.scene.apart import least_resting_share
 
 __all__ = ["Fleet", "Timing"]
 
 #: Room kept beyond the separation where the starts leave any, metres.
 SEPARATION_RESERVE_M = 1e-3
+
+#: For small drones that is less: at most this share of what must lie between them.
+SEPARATION_RESERVE_SHARE = 0.01
 
 #: How much slower than at full speed a flight may be flown to let others pass.
 SLOWDOWNS = (1.0, 1.3, 1.7)
@@ -46,7 +51,8 @@ class Fleet:
 
         self.scene = scene
         self.flights = dict(flights)
-        self.axes = _reserved_axes(scene)
+        self.reserve_m = _reserve(scene)
+        self._axes: dict[float, FloatArray] = {}  # by the sum of two radii
         self.timing = [Timing() for _ in scene.drones]
         self.curves: list[tuple[FloatArray, FloatArray]] = []
         for drone in scene.drones:
@@ -70,6 +76,14 @@ class Fleet:
         self.flights[self.scene.drones[drone].id] = flight
         self.curves[drone] = (flight.curve.breakpoints, flight.curve.coefficients)
 
+    def axes(self, a: int, b: int) -> FloatArray:
+        """(3,) m, half axes of what the two keep between them, with the reserve."""
+        bodies = self.scene.drones[a].radius + self.scene.drones[b].radius
+        if bodies not in self._axes:
+            axes = self.scene.axes_between(a, b)
+            self._axes[bodies] = axes * (1.0 + self.reserve_m / axes[0])
+        return self._axes[bodies]
+
     def apart(self, a: int, timing_a: Timing, b: int, timing_b: Timing) -> bool:
         """Whether two drones, timed like this, keep apart for all time."""
         return self._meeting_time(a, timing_a, b, timing_b) < 0.0
@@ -80,7 +94,7 @@ class Fleet:
         first = (*self.curves[a], timing_a.delay, timing_a.slowdown)
         second = (*self.curves[b], timing_b.delay, timing_b.slowdown)
         end = max(self._finish(a, timing_a), self._finish(b, timing_b))
-        return float(first_conflict(*first, *second, self.axes, 0.0, end))
+        return float(first_conflict(*first, *second, self.axes(a, b), 0.0, end))
 
     def _finish(self, drone: int, timing: Timing) -> float:
         """When the drone comes to its end, seconds."""
@@ -113,7 +127,7 @@ class Fleet:
     def _delay_step(self, horizon: float) -> float:
         """Seconds between the delays to try within ``horizon`` seconds."""
         fastest = max(drone.max_speed for drone in self.scene.drones)
-        return max(DELAY_STEP * self.scene.separation / fastest, horizon / MOST_DELAYS)
+        return max(DELAY_STEP * float(self.scene.widest_axes[0]) / fastest, horizon / MOST_DELAYS)
 
     def _one_after_another(self) -> tuple[int, int] | None:
         """Time flights in order, those first that found no way before; see `find_timing`."""
@@ -182,15 +196,16 @@ class Fleet:
         return [(a, b, time) for a, b, time in times if time >= 0.0]
 
 
-def _reserved_axes(scene: Scene) -> FloatArray:
-    """The separation's half axes with a reserve for rounding, as far as the starts leave one."""
-    axes = np.array(scene.separation_axes)
-    reserve = SEPARATION_RESERVE_M
-    if scene.num_drones > 1 and scene.separation > 0.0:
-        scaled = scene.starts / axes
-        gaps = [np.linalg.norm(scaled[:i] - scaled[i], axis=1).min() for i in range(1, len(scaled))]
-        reserve = min(reserve, max(0.5 * (min(gaps) - 1.0) * scene.separation, 0.0))
-    return axes * (1.0 + reserve / max(scene.separation, 1e-12))
+def _reserve(scene: Scene) -> float:
+    """Metres kept beyond what must lie between two drones, for rounding, as far as starts and places of rest leave them."""
+    tightest = float(scene.widest_axes[0]) if scene.num_drones > 1 else math.inf
+    reserve = min(SEPARATION_RESERVE_M, SEPARATION_RESERVE_SHARE * tightest)
+    reserve = min(reserve, max(0.5 * (least_resting_share(scene) - 1.0) * tightest, 0.0))
+    for i in range(1, scene.num_drones):
+        axes = scene.axes_between(np.arange(i), i)  # (i, 3)
+        gaps = np.linalg.norm((scene.starts[:i] - scene.starts[i]) / axes, axis=1)
+        reserve = min(reserve, float(max((0.5 * (gaps - 1.0) * axes[:, 0]).min(), 0.0)))
+    return reserve
 
 
 def _retimed(flight: Flight, timing: Timing) -> Flight:

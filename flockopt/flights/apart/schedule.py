@@ -8,7 +8,7 @@ once a schedule lets that pair meet.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -22,6 +22,7 @@ from flockopt.records.arrays import FloatArray
 __all__ = ["meeting_steps", "schedule"]
 
 Curves = Sequence[tuple[FloatArray, FloatArray]]
+Axes = Callable[[int, int], FloatArray]
 
 #: Work CP-SAT may do on one schedule, in its own deterministic seconds: the answer is the same on every machine.
 DETERMINISTIC_SECONDS = 2.0
@@ -56,13 +57,13 @@ def meeting_steps(
     return result
 
 
-def schedule(curves: Curves, moving: Sequence[bool], axes: FloatArray, step_s: float, most: int) -> FloatArray | None:
+def schedule(curves: Curves, moving: Sequence[bool], axes: Axes, step_s: float, most: int) -> FloatArray | None:
     """Delays, seconds, of least makespan at which no two drones meet.
 
     Args:
         curves: Breakpoints and coefficients of every drone; one that never moves is parked (`continuous.parked`).
         moving: Which drones may be delayed.
-        axes: (3,) m, half axes of the separation.
+        axes: From two drones to the (3,) m half axes of what they keep between them.
         step_s: Delays are whole numbers of this many seconds.
         most: The longest delay, in steps.
 
@@ -80,16 +81,16 @@ def schedule(curves: Curves, moving: Sequence[bool], axes: FloatArray, step_s: f
         if not met:
             return delays
         for a, b in met:
-            tables[a, b] = meeting_steps(*curves[a], *curves[b], axes, step_s, most)
+            tables[a, b] = meeting_steps(*curves[a], *curves[b], axes(a, b), step_s, most)
         answer = _solve(tables, [curve[0][-1] / step_s for curve in curves], moving, most)
         if answer is None:
             return None
         delays = answer.astype(np.float64) * step_s
 
 
-def _meet(curves: Curves, axes: FloatArray, delays: FloatArray, a: int, b: int) -> bool:
+def _meet(curves: Curves, axes: Axes, delays: FloatArray, a: int, b: int) -> bool:
     end = max(curves[a][0][-1] + delays[a], curves[b][0][-1] + delays[b])
-    return first_conflict(*curves[a], delays[a], 1.0, *curves[b], delays[b], 1.0, axes, 0.0, end) >= 0.0
+    return first_conflict(*curves[a], delays[a], 1.0, *curves[b], delays[b], 1.0, axes(a, b), 0.0, end) >= 0.0
 
 
 def _solve(

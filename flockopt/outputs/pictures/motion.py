@@ -33,8 +33,8 @@ class SampledMotion:
     Attributes:
         times: (T,) s, from 0 to a little after the last drone has finished.
         positions: (N, T, 3) m.
-        separation: (T,) m, least distance between two drones' centres, z scaled where the scene's separation
-            is an ellipsoid, so that the requirement is always the scene's ``separation``; infinite for one drone.
+        separation: (T,) m, least distance between two drones' centres, scaled so that what is required of every pair, in
+            every direction, is ``scene.widest_axes[0]``; infinite for one drone.
         clearance: (T,) m, least gap between a drone's body and an obstacle; infinite with no obstacles.
     """
 
@@ -76,16 +76,14 @@ def sample_motion(scene: Scene, plan: Plan | None) -> SampledMotion | None:
 
 
 def _least_separation(scene: Scene, positions: FloatArray) -> FloatArray:
-    scale = np.ones(3)
-    if scene.separation_z is not None:
-        scale[2] = scene.separation / scene.separation_z
+    """(T,) m, each pair's distance measured by what the two must keep: as if all had to keep `Scene.widest_axes`."""
     least = np.full(positions.shape[1], np.inf)
     if len(positions) < 2:
         return least
-    for instant, points in enumerate(np.swapaxes(positions, 0, 1) * scale):  # (N, 3)
-        squared = np.sum((points[:, None] - points[None]) ** 2, axis=-1)
-        np.fill_diagonal(squared, np.inf)
-        least[instant] = np.sqrt(squared.min())
+    first, second = np.triu_indices(len(positions), 1)
+    axes = scene.axes_between(first, second) / scene.widest_axes[0]  # (P, 3)
+    for instant, points in enumerate(np.swapaxes(positions, 0, 1)):  # (N, 3)
+        least[instant] = np.linalg.norm((points[first] - points[second]) / axes, axis=1).min()
     return least
 
 

@@ -45,7 +45,7 @@ def _flight(scene: Scene, plan: Plan | None) -> dict[str, Any]:
         "facts": headline(scene, plan),
         "bounds": {"lower": scene.bounds.lower, "upper": scene.bounds.upper},
         "clearance": scene.clearance,
-        "separation": scene.separation,
+        "separation": float(scene.widest_axes[0]),
         "makespan": max((flight.curve.end_time for flight in flights.values()), default=0.0),
         "drones": [_drone(index, drone, plan, flights.get(index)) for index, drone in enumerate(scene.drones)],
         "tasks": _tasks(scene, plan),

@@ -83,7 +83,7 @@ def _compose(figure: Figure, scene: Scene, plan: Plan | None, motion: SampledMot
     high = (area_height - 2 * PANEL_GAP_IN) / 3
     stack = [axes(left, BOTTOM_IN + row * (high + PANEL_GAP_IN), PANEL_WIDTH_IN, high) for row in (2, 1, 0)]
     _draw_altitude(stack[0], scene, motion)
-    _draw_least(stack[1], motion.times, motion.separation, scene.separation, "least separation", "only one drone")
+    _draw_least(stack[1], motion.times, motion.separation, float(scene.widest_axes[0]), "least separation", "only one drone")
     _draw_least(stack[2], motion.times, motion.clearance, scene.clearance, "least clearance", "no obstacles")
     for panel in stack[:2]:
         panel.tick_params(labelbottom=False)

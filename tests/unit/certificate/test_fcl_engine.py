@@ -104,7 +104,7 @@ def test_nothing_to_keep():
     scene = Scene("s", SPACE, (drone("d0", (-5.0, 0.0, 0.0)), drone("d1", (0.0, 1.0, 0.0))))
     plan = plan_of(scene, d0=straight((-5, 0, 0), (5, 0, 0)))
     assert least_clearance(scene, plan) is None
-    assert least_separation(scene, plan) is None
+    assert least_separation(scene, plan).margin == pytest.approx(1.0 - 2 * scene.drones[0].radius)  # bodies count
     alone = Scene("s", SPACE, scene.drones[:1], separation=1.0)
     assert least_separation(alone, plan_of(alone)) is None
 
@@ -129,7 +129,7 @@ def test_without_python_fcl_it_names_the_extra(monkeypatch):
 
 
 def test_the_judge_loads_fcl_only_when_asked():
-    code = "import flockopt.certify, sys; print('fcl' in sys.modules)"
+    code = "import flockopt.certificate.judge, sys; print('fcl' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split() == ["False"]
 
 

@@ -177,6 +177,39 @@ def test_drones_that_wait_at_their_starts_and_ends_are_in_the_way():
         assert failed(scene, plan) == ["separation"]
 
 
+@pytest.mark.parametrize("engine", ["closed-form", "fcl"])
+@pytest.mark.parametrize("separation, need", [(0.0, 0.4), (0.1, 0.4), (0.5, 0.5)])
+def test_bodies_never_overlap_whatever_the_separation(engine, separation, need):
+    """Radii 0.1 and 0.3 pass 0.3 m beside each other: too near by what is more of the separation and both radii."""
+    if engine == "fcl":
+        pytest.importorskip("fcl", reason="python-fcl comes with the extra 'trajectory'")
+    drones = make_drone("a", (0, 0, 0)), make_drone("b", (1, 0.3, 0), radius=0.3)
+    scene = make_scene(*drones, separation=separation)
+    clause = judge(scene, make_plan(scene, {"a": Flight(rest_to_rest((0, 0, 0), (2, 0, 0), 3.0))}), engine=engine)["separation"]
+    assert not clause.holds
+    assert clause.margin == pytest.approx(0.3 - need, abs=1e-6)
+
+
+def test_pairs_are_told_by_what_each_of_them_must_keep():
+    """The small drones pass nearer to each other than the large one is to anybody, and are right."""
+    drones = make_drone("a", (0, 0, 0)), make_drone("b", (1, 0.25, 0)), make_drone("c", (1, -1.5, 0), radius=1.45)
+    scene = make_scene(*drones, separation=0.0)
+    clause = judge(scene, make_plan(scene, {"a": Flight(rest_to_rest((0, 0, 0), (2, 0, 0), 3.0))}))["separation"]
+    assert {clause.drone, clause.other_drone} == {"a", "c"}
+    assert clause.margin == pytest.approx(1.5 - 1.55, abs=1e-6)
+
+
+def test_what_is_flown_counts_against_max_distance():
+    """The route is 1 m of travel, the flight to and fro 3 m."""
+    there, back = rest_to_rest((0, 0, 0), (1, 0, 0), 3.0), rest_to_rest((1, 0, 0), (-1, 0, 0), 4.0, 3.0)
+    whole = Curve(np.append(there.breakpoints, back.breakpoints[1:]), np.concatenate([there.coefficients, back.coefficients]))
+    for limit, expected in ((2.9, ["capacity"]), (3.01, [])):
+        scene = make_scene(make_drone("a", (0, 0, 0), max_distance=limit), tasks=[Task("t", (1, 0, 0))])
+        plan = make_plan(scene, {"a": Flight(whole, (Visit("t", 3.0),))}, {"a": ("t",)})
+        assert failed(scene, plan) == expected
+        assert expected == [] or "flies 3 m; its max_distance is 2.9 m" in judge(scene, plan)["capacity"].detail
+
+
 def test_downwash_widens_the_separation_upwards():
     drones = make_drone("a", (0, 0, 0)), make_drone("b", (0, 0, 1.5))
     flights = {"a": Flight(rest_to_rest((0, 0, 0), (0, 0, 0.8), 3.0))}

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from flockopt import Box, Bundles, Scene, decode, deconflict
+from flockopt import Box, Bundles, Scene, decode, deconflict, plan
 from flockopt.flights.apart.schedule import meeting_steps, schedule
 from tests.flights import check_flights, drone, make_scene, worst_separation
 
@@ -111,8 +111,8 @@ def test_the_schedule_has_least_makespan():
     scene, routes = PLANTED["eight through one door"]
     flights = list(decode(scene, Bundles(routes)).values())
     curves = [(flight.curve.breakpoints, flight.curve.coefficients) for flight in flights][:3]
-    axes, step, most = np.array(scene.separation_axes), 0.2, 8
-    delays = schedule(curves, [True] * 3, axes, step, most)
+    axes, step, most = scene.axes_between(0, 1), 0.2, 8
+    delays = schedule(curves, [True] * 3, scene.axes_between, step, most)
     assert delays is not None
     tables = {(a, b): meeting_steps(*curves[a], *curves[b], axes, step, most) for a, b in itertools.combinations(range(3), 2)}
     best = min(
@@ -128,7 +128,7 @@ def test_no_delay_helps_two_drones_that_end_at_one_place():
     scene = make_scene(ends, [(3, 5, 1), (7, 5, 1)])
     flights = decode(scene, Bundles(((0,), (1,))))
     curves = [(flight.curve.breakpoints, flight.curve.coefficients) for flight in flights.values()]
-    assert schedule(curves, [True, True], np.array(scene.separation_axes), 0.2, 20) is None
+    assert schedule(curves, [True, True], scene.axes_between, 0.2, 20) is None
 
 
 def test_a_drone_that_only_comes_to_a_halt_has_no_way_around():
@@ -136,3 +136,27 @@ def test_a_drone_that_only_comes_to_a_halt_has_no_way_around():
     bundles = Bundles(((), ()))
     result = deconflict(scene, bundles, decode(scene, bundles))
     assert [conflict.drones for conflict in result.unresolved] == [("d0", "d1")]
+
+
+def crossing(*pairs, tasks=(), **fields):
+    """Drones with ends and no tasks, by start and end, in an empty room."""
+    drones = [drone(index, start, end=end) for index, (start, end) in enumerate(pairs)]
+    return make_scene(drones, list(tasks), **fields)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        crossing(((4, 5, 1), (6, 5, 1)), ((6, 5, 1), (4, 5, 1))),
+        crossing(((4, 5, 1), (6, 5, 1)), ((6, 5, 1), (4, 5, 1)), ((5, 4, 1), (5, 6, 1)), ((5, 6, 1), (5, 4, 1))),
+    ],
+    ids=["two", "four"],
+)
+def test_drones_with_ends_and_no_tasks_give_way_too(scene):
+    assert plan(scene, planner="classical").status == "certified"
+
+
+def test_a_drone_that_has_served_moves_off_for_one_that_comes():
+    """The second drone's task is the first one's end."""
+    scene = make_scene([drone(0, (2, 5, 1), capacity=0, end=(5, 5, 1)), drone(1, (8, 5, 1))], [(5, 5, 1)])
+    assert plan(scene, planner="classical").status == "certified"

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 from flockopt import SettingsError, plan, refine_bundles  # noqa: E402 - torch may be missing
 from flockopt.flights.smoothing.improve import NOTHING_BETTER, SMOOTHED  # noqa: E402
 from flockopt.flights.smoothing.proposals import fly_proposals  # noqa: E402
-from flockopt.planning.planners import PLANNERS, Proposal  # noqa: E402
+from flockopt.planning.planners import Planner, Proposal  # noqa: E402
 from flockopt.scene.families.layouts import FAMILIES  # noqa: E402
 from learned.smoother.batch import MOST_JOINTS  # noqa: E402
 from learned.smoother.model import TimedNetwork  # noqa: E402
@@ -93,7 +93,7 @@ def test_missing_weights_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("smoothing", [False, True])
-def test_a_plan_with_a_smoother_is_certified_and_sooner(monkeypatch, smoothing):
+def test_a_plan_with_a_smoother_is_certified_and_sooner(smoothing):
     if smoothing:
         pytest.importorskip("casadi")
     scene, _ = flown("forest", drones=4, tasks=8, seed=3)
@@ -105,9 +105,7 @@ def test_a_plan_with_a_smoother_is_certified_and_sooner(monkeypatch, smoothing):
     def plain(request):
         return dataclasses.replace(smoothed(request), smoother=None)
 
-    monkeypatch.setitem(PLANNERS, "plain", plain)
-    monkeypatch.setitem(PLANNERS, "smoothed", smoothed)
-    given, better = plan(scene, planner="plain"), plan(scene, planner="smoothed", smoothing=smoothing)
+    given, better = plan(scene, planner=Planner(plain)), plan(scene, planner=Planner(smoothed), smoothing=smoothing)
     assert better.status == "certified"
     assert better.timing["smooth"] > 0.0
     assert sum(f.curve.duration for f in better.flights.values()) < sum(f.curve.duration for f in given.flights.values())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import subprocess
 import sys
 
@@ -15,11 +16,11 @@ from flockopt import Bundles, MissingExtra, SettingsError, generate, plan  # noq
 from flockopt.flights.smoothing.stages import squared_jerk  # noqa: E402
 from flockopt.flights.waypoints import anchored_legs, leg_clear  # noqa: E402
 from flockopt.geometry.polylines import thinned  # noqa: E402
-from flockopt.planning.planners import PLANNERS, Proposal, Request  # noqa: E402
+from flockopt.planning.planners import PLANNERS, Planner, Proposal, Request  # noqa: E402
 from flockopt.travel.travel import straight_travel  # noqa: E402
 from learned.student import planner  # noqa: E402
 from learned.student.inference import draw, task_probabilities  # noqa: E402
-from learned.student.planner import hybrid, learned, learned_paper, shipped_student  # noqa: E402
+from learned.student.planner import HYBRID, LEARNED, LEARNED_PAPER, TIMED_WEIGHTS, WEIGHTS, shipped_student  # noqa: E402
 from learned.student.pulling import pulled_samples  # noqa: E402
 from learned.student.scenes.batch import collate  # noqa: E402
 from learned.student.scenes.examples import example, unassigned  # noqa: E402
@@ -33,19 +34,17 @@ def forest():
 
 @pytest.fixture(autouse=True)
 def planners(monkeypatch):
-    """The planners, registered, with a tiny network in place of the shipped one."""
+    """A tiny network in place of the shipped one."""
     student = tiny_student("small")
     monkeypatch.setattr(planner, "shipped_student", lambda path: student)
-    for function in (learned, hybrid):
-        monkeypatch.setitem(PLANNERS, function.__name__, function)
     return student
 
 
-@pytest.mark.parametrize("name", ["learned", "hybrid"])
+@pytest.mark.parametrize("proposer", [LEARNED, HYBRID], ids=lambda proposer: proposer.name)
 @pytest.mark.parametrize("family", ["forest", "rooms"])
-def test_plans_are_certified_and_the_same_each_time(name, family):
+def test_plans_are_certified_and_the_same_each_time(proposer, family):
     scene = generate(family, drones=3, tasks=6, seed=1)
-    first, second = (plan(scene, planner=name, seed=4) for _ in range(2))
+    first, second = (plan(scene, planner=proposer, seed=4) for _ in range(2))
     assert first.status == "certified"
     assert {"head", "refine", "generate"} <= first.timing.keys()
     assert first.routes == second.routes and first.cost == second.cost
@@ -54,13 +53,13 @@ def test_plans_are_certified_and_the_same_each_time(name, family):
 @pytest.mark.parametrize("seed", range(4))
 def test_hybrid_is_never_worse_than_classical(seed):
     scene = generate("city", drones=4, tasks=10, seed=seed)
-    assert plan(scene, planner="hybrid").cost.travel <= plan(scene).cost.travel + 1e-9
+    assert plan(scene, planner=HYBRID).cost.travel <= plan(scene).cost.travel + 1e-9
 
 
 def test_the_hybrid_keeps_to_a_time_limit(forest, monkeypatch):
     limits, search = [], planner.refine_bundles
     monkeypatch.setattr(planner, "refine_bundles", lambda *a, **k: limits.append(k["time_limit_s"]) or search(*a, **k))
-    result = plan(forest, planner="hybrid", time_limit_s=0.4)
+    result = plan(forest, planner=HYBRID, time_limit_s=0.4)
     assert result.status == "certified" and result.timing["total"] < 4.0  # what a slow machine may add
     assert result.cost.travel <= plan(forest, planner="classical").cost.travel + 1e-9
     assert len(limits) == 2 and min(limits) > 0.0 and limits[0] > 4.0 * limits[1] and sum(limits) < 0.4
@@ -69,7 +68,7 @@ def test_the_hybrid_keeps_to_a_time_limit(forest, monkeypatch):
 @pytest.mark.parametrize("family", ["forest", "rooms"])
 def test_the_hybrid_smooths_its_fleet(family):
     scene = generate(family, drones=4, tasks=10, seed=3)
-    plain, smooth = plan(scene, planner="classical"), plan(scene, planner="hybrid")
+    plain, smooth = plan(scene, planner="classical"), plan(scene, planner=HYBRID)
     jerk = [
         sum(squared_jerk(flight.curve.breakpoints, flight.curve.coefficients) for flight in one.flights.values())
         for one in (plain, smooth)
@@ -167,15 +166,15 @@ def test_later_tries_may_take_other_steps_than_the_first(planners):
 
 def test_a_drone_with_more_legs_than_samples_flies_the_paths(planners):
     scene = generate("forest", drones=1, tasks=66, seed=0)
-    result = plan(scene, planner="learned")
+    result = plan(scene, planner=LEARNED)
     assert result.status == "certified"
 
 
 def test_no_tasks_and_too_little_capacity(forest):
-    assert plan(dataclasses.replace(forest, tasks=()), planner="hybrid").status == "certified"
+    assert plan(dataclasses.replace(forest, tasks=()), planner=HYBRID).status == "certified"
     grounded = dataclasses.replace(forest, drones=tuple(dataclasses.replace(drone, capacity=1) for drone in forest.drones))
-    for name in ("learned", "hybrid"):
-        assert plan(grounded, planner=name).status == "infeasible"
+    for proposer in (LEARNED, HYBRID):
+        assert plan(grounded, planner=proposer).status == "infeasible"
 
 
 def test_drones_that_only_fly_home_are_drawn_too(planners):
@@ -189,12 +188,11 @@ def test_drones_that_only_fly_home_are_drawn_too(planners):
     assert drawing.num_drawn == 1 and np.allclose(drawing.samples[0, [0, -1]], [begin, end])
 
 
-def test_the_classical_planner_steps_in_where_a_clause_fails(forest, monkeypatch):
+def test_the_classical_planner_steps_in_where_a_clause_fails(forest):
     def forgetful(request):
         return Proposal(Bundles(((0,), (1,), (2,), (3,))), otherwise=PLANNERS["classical"])
 
-    monkeypatch.setitem(PLANNERS, "forgetful", forgetful)
-    result = plan(forest, planner="forgetful")
+    result = plan(forest, planner=Planner(forgetful))
     assert result.status == "certified" and result.planner == "forgetful"
     assert result.timing["fallback"] > 0.0
     assert result.cost.travel == plan(forest).cost.travel
@@ -208,11 +206,24 @@ def test_missing_and_damaged_weights_are_named(tmp_path):
         shipped_student(tmp_path / "damaged.safetensors")
 
 
-@pytest.mark.parametrize("propose", [learned, learned_paper, hybrid])
-def test_an_unknown_backend_is_named(propose):
+@pytest.mark.parametrize("proposer", [LEARNED, LEARNED_PAPER, HYBRID], ids=lambda proposer: proposer.name)
+def test_an_unknown_backend_is_named(proposer):
     scene = generate("forest", drones=2, tasks=3, seed=0)
     with pytest.raises(SettingsError, match="backend is 'abacus'; must be one of torch, torch-eager"):
-        propose(Request(scene, straight_travel(scene), None, 0), backend="abacus")
+        plan(scene, planner=proposer, backend="abacus")
+
+
+def test_a_plan_says_which_weights_and_which_backend_steered_it(forest):
+    made = plan(forest, planner=HYBRID, backend="torch-eager")
+    assert made.settings["backend"] == "torch-eager"
+    assert made.settings["weights"] == hashlib.sha256(WEIGHTS.read_bytes()).hexdigest()
+    assert made.settings["smoother_weights"] == hashlib.sha256(TIMED_WEIGHTS.read_bytes()).hexdigest()
+    assert plan(forest, planner=LEARNED).settings["backend"] == "torch"
+
+
+def test_planners_without_networks_refuse_a_backend(forest):
+    with pytest.raises(SettingsError, match="backend is 'torch'; planner 'classical' has no networks"):
+        plan(forest, planner="classical", backend="torch")
 
 
 def test_missing_torch_is_named(tmp_path, monkeypatch):

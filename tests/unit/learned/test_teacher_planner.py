@@ -11,7 +11,6 @@ import pytest
 
 from flockopt import Bundles, MissingExtra, Plan, SettingsError, compute_travel, generate, plan, refine_bundles
 from flockopt.flights.waypoints import leg_clear
-from flockopt.planning.planners import PLANNERS
 from flockopt.scene import Box
 from learned.paths.ways import PATHS, find_ways
 from learned.teacher import planner
@@ -43,8 +42,6 @@ class Allocator:
 def allocators(monkeypatch):
     made = {method: Allocator(method) for method in ("magnnet", "magnnet-bundling", "teacher")}
     monkeypatch.setattr(planner, "allocator", made.__getitem__)
-    for method, propose in (("magnnet", planner.magnnet), ("teacher", planner.teacher)):
-        monkeypatch.setitem(PLANNERS, method, propose)
     return made
 
 
@@ -56,7 +53,7 @@ def forest():
 @pytest.mark.parametrize("margin_m", [0.0, 0.03])
 @pytest.mark.parametrize("paths", PATHS)
 def test_all_paths_are_certified_and_say_their_steps(allocators, tmp_path, forest, paths, margin_m):
-    result = plan(forest, planner="teacher", paths=paths, tracking_margin_m=margin_m)
+    result = plan(forest, planner=planner.TEACHER, paths=paths, tracking_margin_m=margin_m)
     assert result.status == "certified"
     assert result.episode_steps == 4
     assert {"oracle", "policy", "legs"} <= set(result.timing)
@@ -65,14 +62,14 @@ def test_all_paths_are_certified_and_say_their_steps(allocators, tmp_path, fores
 
 
 def test_staircases_are_flown_and_their_costs_are_what_the_allocator_sees(allocators, forest):
-    lengths = [plan(forest, planner="teacher", paths=paths, bound="fast").cost.length for paths in PATHS]
+    lengths = [plan(forest, planner=planner.TEACHER, paths=paths, bound="fast").cost.length for paths in PATHS]
     assert lengths[0] < 0.95 * lengths[1] < 0.95 * lengths[2]
     costs = allocators["teacher"].costs
     assert costs[0] < costs[1] < costs[2]
 
 
 def test_magnnet_names_what_it_leaves_and_can_be_flown_all_the_same(allocators, forest):
-    result = plan(forest, planner="magnnet")
+    result = plan(forest, planner=planner.MAGNNET)
     assert result.status == "uncertified"
     assert [clause.name for clause in result.certificate.failed] == ["coverage"]
     assert len(result.unserved) == 3
@@ -84,7 +81,7 @@ def test_magnnet_names_what_it_leaves_and_can_be_flown_all_the_same(allocators, 
 
 def test_what_nobody_could_serve_is_infeasible(allocators, forest):
     crowded = make_scene([drone(0, (1, 1, 1), capacity=1)], [(2, 2, 1), (3, 3, 1)])
-    result = plan(crowded, planner="teacher")
+    result = plan(crowded, planner=planner.TEACHER)
     assert result.status == "infeasible"
     assert "1 too little" in result.reason
 
@@ -100,7 +97,7 @@ def test_a_policy_that_leaves_tasks_has_proven_nothing(forest):
 def test_what_a_policy_leaves_is_inserted_before_its_bundles_are_refined(allocators, forest, monkeypatch):
     leaves = SimpleNamespace(bundles=lambda scenes, travels: [Allocation(((0, 1), (), ()), 2)])
     monkeypatch.setattr(planner, "allocator", lambda method: leaves)
-    result = plan(forest, planner="teacher")
+    result = plan(forest, planner=planner.TEACHER)
     assert result.status == "certified"
     assert result.cost.travel < 1.1 * plan(forest).cost.travel
 
@@ -131,7 +128,7 @@ def test_paths_a_planner_does_not_know_are_refused(scene, allocators):
     with pytest.raises(SettingsError, match="paths is 'voxel6'; must be one of any-angle for planner 'classical'"):
         plan(scene, planner="classical", paths="voxel6")
     with pytest.raises(SettingsError, match="paths is 'tunnel'; must be one of any-angle, voxel26, voxel6"):
-        plan(scene, planner="teacher", paths="tunnel")
+        plan(scene, planner=planner.TEACHER, paths="tunnel")
     with pytest.raises(SettingsError, match="paths is 'tunnel'"):
         find_ways(scene, "tunnel")
 

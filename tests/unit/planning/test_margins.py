@@ -98,12 +98,12 @@ def test_starts_limit_the_separation_and_ellipsoids_grow_as_a_whole():
     assert widened(scene, Bundles(((), ()))).separation == pytest.approx(0.41)
     tall = make_scene([drone(0, (1, 1, 1)), drone(1, (5, 1, 1))], [], separation_z=0.8)
     grown = widened(tall, Bundles(((), ())))
-    assert grown.separation_axes == pytest.approx((0.46, 0.46, 0.92))
+    assert grown.widest_axes == pytest.approx((0.46, 0.46, 0.92))
     directions = np.random.default_rng(0).normal(size=(1000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    surface = directions / np.linalg.norm(directions / tall.separation_axes, axis=1)[:, None]
+    surface = directions / np.linalg.norm(directions / tall.widest_axes, axis=1)[:, None]
     moved = surface[:, None] + 2 * MARGIN_M * directions[None, :50]
-    assert (np.linalg.norm(moved / grown.separation_axes, axis=-1) <= 1.0 + 1e-9).all()
+    assert (np.linalg.norm(moved / grown.widest_axes, axis=-1) <= 1.0 + 1e-9).all()
 
 
 def test_parked_drones_that_stand_closer_than_the_margin_do_not_cost_the_certificate():

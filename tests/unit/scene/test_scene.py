@@ -45,7 +45,7 @@ def test_every_optional_field_survives_a_round_trip(two_drones):
     assert [type(obstacle) for obstacle in scene.obstacles] == [Cylinder, Box, Sphere]
     assert scene.drones[0].end_point == (1, 1, 1)
     assert np.isnan(scene.ends).sum() == 0
-    assert scene.separation_axes == (0.4, 0.4, 0.8)
+    assert scene.widest_axes.tolist() == [0.4, 0.4, 0.8]
 
 
 def test_the_digest_is_over_the_canonical_form(two_drones):
@@ -170,3 +170,33 @@ def test_a_drone_can_be_made_from_arrays():
     drone = Drone("d", np.array([1.0, 2.0, 3.0]), np.int64(3), 0.1, 2.0, 4.0, 30.0)
     assert drone.start == (1.0, 2.0, 3.0)
     assert isinstance(drone.capacity, int)
+
+
+def fleet(scene, *starts, radii=(0.15, 0.15), **fields):
+    drones = tuple(
+        dataclasses.replace(scene.drones[0], id=f"d{i}", start=start, radius=radius)
+        for i, (start, radius) in enumerate(zip(starts, radii, strict=True))
+    )
+    return scene.replace(**{"drones": drones, "tasks": (), "obstacles": (), "separation": 0.0, "separation_z": None} | fields)
+
+
+def test_bodies_count_where_the_separation_is_less(scene):
+    pair = fleet(scene, (1, 1, 1), (2, 1, 1), radii=(0.1, 0.3))
+    assert pair.axes_between(0, 1) == pytest.approx([0.4, 0.4, 0.4])
+    assert pair.axes_between([0, 1], [0, 1]) == pytest.approx(np.array([[0.2] * 3, [0.6] * 3]))
+    assert pair.replace(separation=0.5).axes_between(1, 0).tolist() == [0.5, 0.5, 0.5]
+    assert pair.replace(separation=0.3, separation_z=0.9).axes_between(0, 1) == pytest.approx([0.4, 0.4, 0.9])
+    assert pair.widest_axes == pytest.approx([0.4, 0.4, 0.4])
+
+
+def test_bodies_that_overlap_at_the_start_are_refused_whatever_the_separation(scene):
+    with pytest.raises(SceneError, match=r"drones\[1\]\.start is 0\.25 m from .*both radii: 0\.3 m"):
+        fleet(scene, (1, 1, 1), (1.25, 1, 1))
+    fleet(scene, (1, 1, 1), (1.3, 1, 1))
+
+
+def test_an_ellipsoid_that_lets_bodies_overlap_is_refused(scene):
+    with pytest.raises(
+        SceneError, match=r"separation_z is 0\.2; must be >= the radii of the two largest drones together = 0\.3"
+    ):
+        fleet(scene, (1, 1, 1), (3, 1, 1), separation=0.5, separation_z=0.2)
