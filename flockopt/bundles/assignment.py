@@ -1,16 +1,16 @@
-"""Assignments by linear programming, with primal, dual and residuals: who serves what, and who follows whom.
+"""Assignment by linear programming, with primal, dual and residuals: who serves what.
 
 `transport` turns preferences into a capacity-feasible assignment: the transport polytope's vertices are integral for
-unit demands; heavier ones are rounded so that capacities hold. `predecessor_arcs` gives every task the cheapest
-predecessor, each used once, which bounds the travel of every allocation from below. Both programs are solved by
-Clarabel through cvxpy, built once per size; unit demands and arcs have a fast path through scipy's assignment that
-agrees with it. Whatever a solver says, values and residuals are computed here from the vectors alone.
+unit demands; heavier ones are rounded so that capacities hold. The program is solved by Clarabel through cvxpy, built
+once per size; unit demands have a fast path through scipy's assignment that agrees with it. Whatever a solver says,
+values and residuals are computed here from the vectors alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -21,18 +21,17 @@ from scipy.sparse import csr_array
 from flockopt.errors import MissingExtra, SettingsError, SolverFailed
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
-from flockopt.travel import Travel
 
-__all__ = ["Arcs", "Residuals", "Transport", "predecessor_arcs", "transport"]
-
-#: Stands for an arc there is no way along, in units of the longest one there is.
-FORBIDDEN_SHARE = 1e3
+__all__ = ["Residuals", "Transport", "transport"]
 
 #: How hard to round: enough for fleets of some dozens, and the same on every machine.
 EFFORT = {"node_limit": 500, "mip_rel_gap": 1e-4}
 
 #: Problems kept built: sizes in use at a time are few.
 KEPT_PROBLEMS = 16
+
+#: One thread at a time: cvxpy solves a problem by writing into it, and numbers the parts of all problems by one counter.
+_ONE_AT_A_TIME = Lock()
 
 
 @dataclass(frozen=True)
@@ -41,12 +40,10 @@ class Residuals:
 
     Attributes:
         primal: Largest breach of a primal constraint.
-        dual: Largest breach of a dual constraint before it was repaired.
-        gap: What the repaired dual's value is off the primal's; >= 0 up to rounding proves near-optimality.
+        gap: What the dual's value is off the primal's; >= 0 up to rounding proves near-optimality.
     """
 
     primal: float
-    dual: float
     gap: float
 
 
@@ -66,23 +63,6 @@ class Transport:
     primal: FloatArray
     drone_prices: FloatArray
     task_prices: FloatArray
-    residuals: Residuals
-
-
-@dataclass(frozen=True)
-class Arcs:
-    """The cheapest predecessor of every task, each start and task preceding at most one.
-
-    Attributes:
-        value: Metres, proven by ``prices``: a lower bound on the travel of every allocation.
-        predecessor: (M,) index of the predecessor: drone i as i, task k as N + k; -1 where there is none.
-        prices: (N + M,) >= 0, of starts and tasks as predecessors.
-        residuals: Of the arcs and prices.
-    """
-
-    value: float
-    predecessor: NDArray[np.int64]
-    prices: FloatArray
     residuals: Residuals
 
 
@@ -114,7 +94,7 @@ def transport(scene: Scene, preferences: FloatArray, *, solver: str = "auto") ->
     value = float(task_prices.sum() + prices @ scene.capacities)
     load = primal @ scene.demands - scene.capacities
     breach = max(load.max(initial=0.0), (primal.sum(axis=0) - 1.0).max(initial=0.0), -primal.min(initial=0.0))
-    residuals = Residuals(float(breach), 0.0, value - float((preferences * primal).sum()))
+    residuals = Residuals(float(breach), value - float((preferences * primal).sum()))
     return Transport(_rounded(primal, preferences, scene), primal, prices, task_prices, residuals)
 
 
@@ -150,7 +130,7 @@ def _slot_prices(preferences: FloatArray, primal: FloatArray, capacities: FloatA
 
 @lru_cache(maxsize=KEPT_PROBLEMS)
 def _transport_problem(num_drones: int, num_tasks: int) -> tuple[Any, ...]:
-    """The program of one size, compiled once: problem, variable, parameters, constraints."""
+    """The program of one size, compiled once: problem, variable, parameters, and the constraint on capacities."""
     cp = _cvxpy()
     share = cp.Variable((num_drones, num_tasks), nonneg=True)
     preference = cp.Parameter((num_drones, num_tasks))
@@ -158,14 +138,15 @@ def _transport_problem(num_drones: int, num_tasks: int) -> tuple[Any, ...]:
     within = share @ demand <= capacity
     once = cp.sum(share, axis=0) <= 1
     problem = cp.Problem(cp.Maximize(cp.sum(cp.multiply(preference, share))), [within, once])
-    return problem, share, (preference, demand, capacity), (within, once)
+    return problem, share, (preference, demand, capacity), within
 
 
 def _clarabel_transport(preferences: FloatArray, demands: FloatArray, capacities: FloatArray) -> tuple[FloatArray, FloatArray]:
-    problem, share, (preference, demand, capacity), (within, _) = _transport_problem(*preferences.shape)
-    preference.value, demand.value, capacity.value = preferences, demands, capacities
-    _solve(problem)
-    return np.asarray(share.value), np.asarray(within.dual_value)
+    with _ONE_AT_A_TIME:
+        problem, share, (preference, demand, capacity), within = _transport_problem(*preferences.shape)
+        preference.value, demand.value, capacity.value = preferences, demands, capacities
+        _solve(problem)
+        return np.array(share.value), np.array(within.dual_value)
 
 
 def _cvxpy() -> Any:
@@ -205,85 +186,3 @@ def _rounded(primal: FloatArray, preferences: FloatArray, scene: Scene) -> NDArr
     if answer.x is None:
         raise SolverFailed("HiGHS", answer.message)
     return np.asarray(answer.x.reshape(num_drones, num_tasks) > 0.5)
-
-
-def predecessor_arcs(scene: Scene, travel: Travel, *, solver: str = "scipy") -> Arcs:
-    """The predecessor-arc assignment: every task once a successor, every start and task at most once a predecessor.
-
-    Args:
-        scene: Whose capacities and demands rule arcs out.
-        travel: Distances, metres; the least over classes of drone counts between tasks.
-        solver: ``"scipy"`` (successive shortest paths) or ``"clarabel"``.
-
-    Raises:
-        SettingsError: On an unknown solver.
-        MissingExtra: If cvxpy is not installed where it is asked for.
-        SolverFailed: If Clarabel fails.
-    """
-    if solver not in ("scipy", "clarabel"):
-        raise SettingsError("solver", f"is {solver!r}", "must be scipy or clarabel", "choose one")
-    costs = _arc_costs(scene, travel)  # (N + M, M), infinite where there is no arc
-    num_tasks = costs.shape[1]
-    if num_tasks == 0:
-        return Arcs(0.0, np.empty(0, dtype=np.int64), np.zeros(len(costs)), Residuals(0.0, 0.0, 0.0))
-    finite = costs[np.isfinite(costs)]
-    wall = FORBIDDEN_SHARE * max(float(finite.max(initial=0.0)), 1.0)
-    walled = np.where(np.isfinite(costs), costs, wall)
-    if solver == "scipy":
-        source, task = linear_sum_assignment(walled)
-        predecessor = np.empty(num_tasks, dtype=np.int64)
-        predecessor[task] = source
-        prices = _arc_prices(walled, predecessor)
-    else:
-        predecessor, prices = _clarabel_arcs(walled)
-    prices = np.maximum(prices, 0.0)
-    value = float((walled + prices[:, None]).min(axis=0).sum() - prices.sum())
-    total = float(walled[predecessor, np.arange(num_tasks)].sum())
-    used = np.bincount(predecessor, minlength=len(costs))
-    missing = ~np.isfinite(costs[predecessor, np.arange(num_tasks)])
-    residuals = Residuals(float(max(used.max() - 1, 0)), 0.0, total - value)
-    return Arcs(value, np.where(missing, -1, predecessor), prices, residuals)
-
-
-def _arc_costs(scene: Scene, travel: Travel) -> FloatArray:
-    fits = scene.demands[None, :] <= scene.capacities[:, None]
-    between = travel.task_task.min(axis=0).copy()
-    np.fill_diagonal(between, np.inf)
-    return np.vstack([np.where(fits, travel.start_task, np.inf), between])
-
-
-def _arc_prices(costs: FloatArray, predecessor: NDArray[np.int64]) -> FloatArray:
-    """(N + M,) prices >= 0 of predecessors that prove an assignment cheapest (Bellman, Ford on exchanges)."""
-    num_sources = len(costs)
-    task_of = np.full(num_sources, -1)
-    task_of[predecessor] = np.arange(len(predecessor))
-    used = np.flatnonzero(task_of >= 0)
-    saves = np.full((num_sources, num_sources), -np.inf)  # what source s, giving its task to source r, would save
-    saves[used] = costs[used, task_of[used]][:, None] - costs[:, task_of[used]].T
-    prices = np.zeros(num_sources)
-    for _ in range(num_sources):
-        raised = np.maximum(prices, (prices[:, None] + saves).max(axis=0))
-        if (raised - prices).max() <= 1e-12:
-            break
-        prices = raised
-    return prices
-
-
-@lru_cache(maxsize=KEPT_PROBLEMS)
-def _arc_problem(num_sources: int, num_tasks: int) -> tuple[Any, ...]:
-    cp = _cvxpy()
-    share = cp.Variable((num_sources, num_tasks), nonneg=True)
-    cost = cp.Parameter((num_sources, num_tasks))
-    at_most_once = cp.sum(share, axis=1) <= 1
-    problem = cp.Problem(cp.Minimize(cp.sum(cp.multiply(cost, share))), [cp.sum(share, axis=0) == 1, at_most_once])
-    return problem, share, cost, at_most_once
-
-
-def _clarabel_arcs(costs: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-    problem, share, cost, at_most_once = _arc_problem(*costs.shape)
-    cost.value = costs
-    _solve(problem)
-    source, task = linear_sum_assignment(np.asarray(share.value), maximize=True)  # a vertex of the optimal face
-    predecessor = np.empty(costs.shape[1], dtype=np.int64)
-    predecessor[task] = source
-    return predecessor, np.asarray(at_most_once.dual_value)

@@ -9,7 +9,7 @@ import numpy as np
 
 from flockopt.bundles.bundles import Bundles
 from flockopt.bundles.explain import LENGTH_TOLERANCE_M, explained
-from flockopt.bundles.request import Request, checked_limits, checked_preferences, checked_routes
+from flockopt.bundles.request import AllocationRequest, checked_limits, checked_preferences, checked_routes
 from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
 from flockopt.records.status import Status
@@ -20,6 +20,9 @@ __all__ = ["METHODS", "refine_bundles"]
 
 #: Methods that begin with given routes and make them no worse.
 WARM_STARTED = ("search", "cvrp")
+
+#: Share of a time limit that is spent anew on routes that a packing gave.
+AGAIN_SHARE = 0.2
 
 #: What a preference of zero counts as, relative to the task's greatest.
 LEAST_PREFERENCE = 1e-6
@@ -67,12 +70,12 @@ def refine_bundles(
         travel = compute_travel(scene)
     if scene.num_tasks == 0:
         return explained(scene, travel, ((),) * scene.num_drones)
-    request = Request(scene, travel, preferences, routes, iterations, time_limit_s, seed)
+    request = AllocationRequest(scene, travel, preferences, routes, iterations, time_limit_s, seed)
     bundles = METHODS[method](request)
     return _packed(request, bundles, method) if bundles.status == Status.INCOMPLETE else bundles
 
 
-def _packed(request: Request, bundles: Bundles, method: str) -> Bundles:
+def _packed(request: AllocationRequest, bundles: Bundles, method: str) -> Bundles:
     """Better than bundles that leave tasks over: all tasks by a packing of their demands, or a proof that there is none."""
     from flockopt.bundles.packing import pack
     from flockopt.bundles.tour import shortest_order
@@ -90,11 +93,15 @@ def _packed(request: Request, bundles: Bundles, method: str) -> Bundles:
     lengths = [travel.route_length(i, route) for i, route in enumerate(routes)]
     if any(not length <= limit + LENGTH_TOLERANCE_M for length, limit in zip(lengths, limits, strict=True)):
         return bundles
-    better = METHODS[method](replace(request, warm_start=routes)) if method in WARM_STARTED else explained(scene, travel, routes)
-    return explained(scene, travel, routes) if better.unserved else better
+    packed = explained(scene, travel, routes)
+    if method not in WARM_STARTED:
+        return packed
+    left_s = None if request.time_limit_s is None else AGAIN_SHARE * request.time_limit_s
+    better = METHODS[method](replace(request, warm_start=routes, time_limit_s=left_s))
+    return packed if better.unserved else better
 
 
-def _by_search(request: Request) -> Bundles:
+def _by_search(request: AllocationRequest) -> Bundles:
     from flockopt.bundles.search.anneal import search
     from flockopt.bundles.search.construct import build_problem
 
@@ -109,7 +116,7 @@ def _by_search(request: Request) -> Bundles:
     return explained(request.scene, request.travel, routes)
 
 
-def _by_assignment(request: Request) -> Bundles:
+def _by_assignment(request: AllocationRequest) -> Bundles:
     """The transport polytope's best assignment, each drone's tasks put in order; preferences default to nearness."""
     from flockopt.bundles.assignment import transport
     from flockopt.bundles.tour import shortest_order
@@ -121,7 +128,7 @@ def _by_assignment(request: Request) -> Bundles:
     return explained(scene, travel, tuple(shortest_order(travel, i, np.flatnonzero(row)) for i, row in enumerate(assignment)))
 
 
-def _by_routing(request: Request) -> Bundles:
+def _by_routing(request: AllocationRequest) -> Bundles:
     from flockopt.bundles.ortools_routing import route_with_ortools
 
     routes = route_with_ortools(
@@ -134,7 +141,7 @@ def _by_routing(request: Request) -> Bundles:
     return explained(request.scene, request.travel, routes)
 
 
-def _exactly(request: Request) -> Bundles:
+def _exactly(request: AllocationRequest) -> Bundles:
     from flockopt.bundles.exact.exact import solve_exact
 
     warm_start = Bundles(request.warm_start) if request.warm_start else None
@@ -144,7 +151,7 @@ def _exactly(request: Request) -> Bundles:
 
 
 #: The ways to make bundles. Each imports its solver when called.
-METHODS: dict[str, Callable[[Request], Bundles]] = {
+METHODS: dict[str, Callable[[AllocationRequest], Bundles]] = {
     "search": _by_search,
     "lp": _by_assignment,
     "cvrp": _by_routing,

@@ -15,14 +15,14 @@ from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["Request", "RouteTuple", "checked_limits", "checked_preferences", "checked_routes"]
+__all__ = ["AllocationRequest", "RouteTuple", "checked_limits", "checked_preferences", "checked_routes"]
 
 #: Task indices in visiting order, by drone.
 RouteTuple: TypeAlias = tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class AllocationRequest:
     """An allocation to be made.
 
     Attributes:

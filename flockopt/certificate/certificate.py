@@ -58,6 +58,13 @@ class Clause:
     obstacle: str | None = None
     detail: str = ""
 
+    def __post_init__(self) -> None:
+        """Numbers become Python's own, which files can hold: what is measured comes as numpy's where numba is switched off."""
+        object.__setattr__(self, "holds", bool(self.holds))
+        object.__setattr__(self, "margin", float(self.margin))
+        object.__setattr__(self, "time", None if self.time is None else float(self.time))
+        object.__setattr__(self, "place", None if self.place is None else tuple(map(float, self.place)))
+
     @property
     def where(self) -> str:
         """The tightest place in words; empty where there is none."""

@@ -104,16 +104,18 @@ def fly(
         avoided: (K, 9) more obstacle rows to keep clear of, or None.
         law: What flies a polyline; None for the fly-through law, `flockopt.flights.laws.fly_through.fly_polyline`.
     """
-    from flockopt.flights.laws.attempt import entering, mended, shortened, widened
+    from flockopt.flights.laws.attempt import first_trial, mend_faults, merge_close_corners, save_pieces
     from flockopt.flights.laws.fly_through import fly_polyline
 
     if not waypoints.moves:
         return _stay(scene, drone, waypoints)
     room = Room.around(scene, drone, waypoints, avoided)
-    best = mended(widened(entering(waypoints, room, law or fly_polyline)))
-    if drone.max_distance is not None and Curve(best.breakpoints, best.coefficients).length > drone.max_distance:
-        best = best.again(waypoints).stopping()
-    return shortened(best).flight(scene)
+    trial = first_trial(waypoints, room, law or fly_polyline)
+    trial = merge_close_corners(trial)
+    trial = mend_faults(trial)
+    if drone.max_distance is not None and Curve(trial.breakpoints, trial.coefficients).length > drone.max_distance:
+        trial = trial.again(waypoints).stopping()
+    return save_pieces(trial).flight(scene)
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,7 @@ def control_points(breakpoints: FloatArray, coefficients: FloatArray, num_terms:
         for i in range(n, num_terms):
             weights[n, i] = BINOMIAL[i, n] / BINOMIAL[num_terms - 1, n]
     result = np.zeros((num_pieces, 3, num_terms))
+    # A power t**n is the Bernstein polynomial with control points C(i, n) / C(degree, n), zero before the n-th.
     for k in range(num_pieces):
         duration, scale = breakpoints[k + 1] - breakpoints[k], 1.0
         for n in range(given):
@@ -113,6 +114,7 @@ def squared_norm(control: FloatArray) -> FloatArray:
     result = np.zeros(2 * degree + 1)
     for i in range(degree + 1):
         for j in range(degree + 1):
+            # The product of two Bernstein polynomials is one of twice the degree, times a ratio of binomials (Farouki 2012).
             product = control[0, i] * control[0, j] + control[1, i] * control[1, j] + control[2, i] * control[2, j]
             result[i + j] += BINOMIAL[degree, i] * BINOMIAL[degree, j] / BINOMIAL[2 * degree, i + j] * product
     return result
@@ -157,6 +159,7 @@ def largest_value(control: FloatArray, known: float, small: float) -> tuple[floa
             best, where = node[0], start
         if node[num_terms - 1] > best:
             best, where = node[num_terms - 1], start + width
+        # The end points are values, the largest control point bounds all values: the true maximum is between the two.
         bound = node.max()
         if bound <= best + EXTREME_TOLERANCE * max(abs(best), small) or width < NARROWEST or looked > MOST_INTERVALS:
             proven = max(proven, bound)

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 from numba import njit, types
+from numpy.typing import NDArray
 
 from flockopt.geometry.bernstein import (
     ARRAY_1,
@@ -90,7 +91,7 @@ def least_clearance(
     best, time, nearest = _nearest_breakpoint(space, breakpoints, control)
     proven = best
     for p in range(control.shape[0]):
-        fit_box(control[p], box)
+        fit_box(control[p], box)  # holds the piece, by the convex hull of its control points
         for k in range(space.table.shape[0]):
             row, need = space.table[k], space.needs[k]
             if box_gap(box, space.boxes[k]) - need >= best:
@@ -141,6 +142,7 @@ def _timed(
         for k in range(num_pieces):
             for i in range(num_terms):
                 control[k + 1, axis, i] = inner[k, axis, i] / axes[axis]
+        # Pieces that hold still: all control points are one. So windows of two curves need no special cases.
         control[0, axis, :] = control[1, axis, 0]
         control[num_pieces + 1, axis, :] = control[num_pieces, axis, num_terms - 1]
     return times, control
@@ -168,6 +170,7 @@ def _restrict(piece: FloatArray, start: float, end: float, result: FloatArray) -
         points = result[axis]
         for i in range(num_terms):
             points[i] = piece[axis, i]
+        # De Casteljau twice: the part before the end, in place from the last point on; of that, what comes after the start.
         if end < 1.0:
             for level in range(1, num_terms):
                 for i in range(num_terms - 1, level - 1, -1):
@@ -186,6 +189,7 @@ def _part(times: FloatArray, control: FloatArray, k: int, start: float, end: flo
         result[:] = control[k]
     else:
         duration = times[k + 1] - times[k]
+        # Rounding may carry the fractions over the piece's ends; nothing flies there.
         first, last = max((start - times[k]) / duration, 0.0), min((end - times[k]) / duration, 1.0)
         _restrict(control[k], first, max(last, 1e-300), result)
 
@@ -230,27 +234,44 @@ def _place(times: FloatArray, control: FloatArray, k: int, time: float, point: F
 
 
 @njit(cache=True)
-def _nearest_breakpoints(
-    times_a: FloatArray, control_a: FloatArray, times_b: FloatArray, control_b: FloatArray, start: float, end: float
-) -> tuple[float, float]:
-    """The least distance where a piece of either curve begins, a good first guess of the least of all; its time."""
-    best, time, now = np.inf, start, start
-    here, there = np.empty((3, 1)), np.empty((3, 1))
-    i, j = 0, 0
+def _windows(times_a: FloatArray, times_b: FloatArray, start: float, end: float) -> tuple[NDArray[np.int64], FloatArray]:
+    """The pieces of two timed curves that are flown together between two times.
+
+    Returns:
+        (W + 1, 2) the piece of either curve from each moment on, and the moments (W + 1,), of which the last is the end.
+    """
+    room = len(times_a) + len(times_b) + 2
+    pieces, moments = np.zeros((room, 2), dtype=np.int64), np.empty(room)
+    i, j, count, now = 0, 0, 0, start
     while True:
         while times_a[i + 1] <= now:
             i += 1
         while times_b[j + 1] <= now:
             j += 1
-        _place(times_a, control_a, i, now, here)
-        _place(times_b, control_b, j, now, there)
+        pieces[count, 0], pieces[count, 1], moments[count] = i, j, now
+        count += 1
+        # Where both times are one there is still one window, without width: the curves are looked at there.
+        if now >= end and count > 1:
+            return pieces[:count], moments[:count]
+        now = min(end, times_a[i + 1], times_b[j + 1])
+
+
+@njit(cache=True)
+def _nearest_moment(
+    times_a: FloatArray, control_a: FloatArray, times_b: FloatArray, control_b: FloatArray, pieces: NDArray[np.int64],
+    moments: FloatArray,
+) -> tuple[float, float]:  # fmt: skip
+    """The least distance at the moments of `_windows`, a good first guess of the least of all; its time."""
+    best, time = np.inf, moments[0]
+    here, there = np.empty((3, 1)), np.empty((3, 1))
+    for w in range(len(moments)):
+        _place(times_a, control_a, pieces[w, 0], moments[w], here)
+        _place(times_b, control_b, pieces[w, 1], moments[w], there)
         here -= there
         distance = end_norm(here, 0)
         if distance < best:
-            best, time = distance, now
-        if now >= end:
-            return best, time
-        now = min(end, times_a[i + 1], times_b[j + 1])
+            best, time = distance, moments[w]
+    return best, time
 
 
 @njit(
@@ -286,17 +307,13 @@ def least_separation(
     hulls_a, hulls_b = _hulls(control_a), _hulls(control_b)
     stack, spans = new_stack(num_terms)
     other = np.empty((3, num_terms))
-    best, time = _nearest_breakpoints(times_a, control_a, times_b, control_b, start, end)
+    pieces, moments = _windows(times_a, times_b, start, end)
+    best, time = _nearest_moment(times_a, control_a, times_b, control_b, pieces, moments)
     if best > known / axes[0] + 1.0:
         best, time = known / axes[0] + 1.0, -1.0
     proven = best
-    i, j, now = 0, 0, start
-    while True:
-        while times_a[i + 1] <= now:
-            i += 1
-        while times_b[j + 1] <= now:
-            j += 1
-        until = min(end, times_a[i + 1], times_b[j + 1])
+    for w in range(len(moments) - 1):
+        i, j, now, until = pieces[w, 0], pieces[w, 1], moments[w], moments[w + 1]
         if box_gap(hulls_a[i], hulls_b[j]) < best:
             _part(times_a, control_a, i, now, until, stack[0])
             _part(times_b, control_b, j, now, until, other)
@@ -305,9 +322,7 @@ def least_separation(
             proven = min(proven, bound)
             if where >= 0.0:
                 time = now + where * (until - now)
-        if until >= end:
-            return (min(best, proven) - 1.0) * axes[0], time
-        now = until
+    return (min(best, proven) - 1.0) * axes[0], time
 
 
 @njit(
@@ -335,13 +350,9 @@ def first_conflict(
         return -1.0
     stack, spans = new_stack(num_terms)
     other = np.empty((3, num_terms))
-    i, j, now = 0, 0, start
-    while True:
-        while times_a[i + 1] <= now:
-            i += 1
-        while times_b[j + 1] <= now:
-            j += 1
-        until = min(end, times_a[i + 1], times_b[j + 1])
+    pieces, moments = _windows(times_a, times_b, start, end)
+    for w in range(len(moments) - 1):
+        i, j, now, until = pieces[w, 0], pieces[w, 1], moments[w], moments[w + 1]
         if box_gap(hulls_a[i], hulls_b[j]) < 1.0:
             _part(times_a, control_a, i, now, until, stack[0])
             _part(times_b, control_b, j, now, until, other)
@@ -349,6 +360,4 @@ def first_conflict(
             where = first_inside(until - now, GRAZING_M / axes[0], stack, spans)
             if where >= 0.0:
                 return now + where * (until - now)
-        if until >= end:
-            return -1.0
-        now = until
+    return -1.0

@@ -1,5 +1,8 @@
 """Branch and bound over the time of one piece: the engine under `flockopt.geometry.continuous`.
 
+Best values come from the intervals' ends, where the curve is known; bounds from its control points (Lane and Riesenfeld,
+"Bounds on a polynomial", 1981, find roots so). Both meet quadratically as intervals are halved.
+
 On an interval a curve lies within its `deviation` from its chord (its control points do, and the tube around a
 segment is convex). The signed distance to a convex obstacle is convex along the chord, so tangents at the
 chord's ends bound it from below; the chord's distance from the origin is known in closed form. An interval
@@ -50,6 +53,7 @@ def deviation(node: FloatArray) -> float:
     largest = 0.0
     for i in range(1, last):
         x, y, z = node[0, i] - node[0, 0], node[1, i] - node[1, 0], node[2, i] - node[2, 0]
+        # From the segment, not from its line: a curve that turns back goes beyond the chord's ends.
         along = min(max((x * dx + y * dy + z * dz) / square, 0.0), 1.0) if square > 0.0 else 0.0
         x, y, z = x - along * dx, y - along * dy, z - along * dz
         largest = max(largest, x * x + y * y + z * z)
@@ -59,6 +63,7 @@ def deviation(node: FloatArray) -> float:
 @njit(cache=True)
 def split(stack: FloatArray, spans: FloatArray, top: int) -> None:
     """Replace the interval on ``top`` of the stack by its halves, the earlier one uppermost."""
+    # The later half takes the interval's own place: depth-first, so that the stack is as deep as intervals are halved.
     halve(stack[top], stack[top + 1], stack[top])
     half = 0.5 * spans[top, 1]
     spans[top + 1, 0], spans[top + 1, 1] = spans[top, 0], half
@@ -137,12 +142,14 @@ def least_clearance_below(
             return best, where, -np.inf
         ax, ay, az = point_gradient(row, px, py, pz)
         bx, by, bz = point_gradient(row, qx, qy, qz)
+        # The distance to a convex obstacle is convex along the chord, so it lies above its tangents at both ends.
         slope_p = ax * (qx - px) + ay * (qy - py) + az * (qz - pz)
         slope_q = bx * (qx - px) + by * (qy - py) + bz * (qz - pz)
         bound = min(f_p, f_q)
         if slope_p < 0.0 < slope_q:  # where the tangents meet
             bound = f_p + slope_p * (f_q - slope_q - f_p) / (slope_p - slope_q)
-        bound -= deviation(node)
+        bound -= deviation(node)  # the distance changes by no more than the place does
+        # What is given up for its width or for their number still counts with its bound: the proof never says too much.
         if bound >= best - tolerance or spans[top, 1] < NARROWEST or looked > MOST_INTERVALS:
             proven = min(proven, bound)
         else:
@@ -185,6 +192,7 @@ def first_inside(duration: float, graze: float, stack: FloatArray, spans: FloatA
         top -= 1
         looked += 1
         start, width = spans[top, 0], spans[top, 1]
+        # The earlier half always is uppermost, so that the first interval that holds a moment inside holds the first one.
         if chord_bound(stack[top]) >= 1.0 - graze:
             continue
         if end_norm(stack[top], 0) < 1.0 - 0.5 * graze or looked > MOST_INTERVALS:

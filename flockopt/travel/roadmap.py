@@ -16,7 +16,7 @@ from flockopt.travel.bends import Features, make_features, unrestricted
 from flockopt.travel.blocking import blocked_pairs
 from flockopt.travel.legs import Drawn, Legs, draw, join, merge, pack
 from flockopt.travel.path_search import shortest, within_ellipse
-from flockopt.travel.sight import Sight, empty_sight
+from flockopt.travel.sight import Sight, View, empty_sight
 
 __all__ = ["Legs", "Roadmap"]
 
@@ -131,7 +131,7 @@ def _chains(
         The sight; where each pair's chain begins, (L,); how long it is, (L,), -1 where none is found; the chains.
     """
     num_points, num_features, num_pairs = points.shape[0], features.position.shape[0], pairs.shape[0]
-    views = np.zeros((num_points, num_features), dtype=np.uint8)
+    view = View(space, features, points, np.zeros((num_points, num_features), dtype=np.uint8))
     parent, from_source = np.empty(num_features, dtype=np.int64), np.empty(num_features)
     begin, count = np.zeros(num_pairs, dtype=np.int64), np.full(num_pairs, -1, dtype=np.int64)
     chains, used = np.empty(4 * num_pairs + 16, dtype=np.int64), 0
@@ -145,7 +145,7 @@ def _chains(
             target = pairs[stop, 1]
             straight, last = segment_length(points[source], points[target]), -1
             for share in ELLIPSES:
-                _, last = within_ellipse(space, features, points, views, source, target, from_source, share * straight, parent)
+                _, last = within_ellipse(view, source, target, from_source, share * straight, parent)
                 if last >= 0:
                     break
             if last >= 0:
@@ -161,7 +161,7 @@ def _chains(
             targets = np.empty(num_left, dtype=np.int64)
             for t in range(num_left):
                 targets[t] = pairs[left[t], 1]
-            sight = shortest(space, features, sight, points, views, source, targets, best, lasts, parent)
+            sight = shortest(view, sight, source, targets, best, lasts, parent)
             for t in range(num_left):
                 if lasts[t] >= 0:
                     begin[left[t]] = used

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -14,9 +14,20 @@ from flockopt.records.arrays import FloatArray
 from flockopt.travel.bends import Features
 from flockopt.travel.blocking import blocker
 
-__all__ = ["Sight", "empty_sight", "look_around", "sees", "tangent", "wraps"]
+__all__ = ["Sight", "View", "empty_sight", "look_around", "norm", "sees", "step", "tangent", "wraps"]
+
+Step: TypeAlias = tuple[float, float, float]
 
 UNKNOWN, SEEN, HIDDEN = 0, 1, 2
+
+
+class View(NamedTuple):
+    """Points among features, and what of these they see as far as anyone asked."""
+
+    space: FreeSpace
+    features: Features
+    points: FloatArray  # (P, 3) m
+    seen: NDArray[np.uint8]  # (P, F) UNKNOWN, SEEN or HIDDEN; filled by `sees`
 
 
 class Sight(NamedTuple):
@@ -39,22 +50,34 @@ def empty_sight(num_features: int) -> Sight:
 
 
 @njit(cache=True, error_model="numpy")
-def tangent(first: FloatArray, second: FloatArray, slack: FloatArray, u: int, d0: float, d1: float, d2: float) -> bool:
-    """Whether a line of direction d through feature u stays out of the prism there."""
-    a = d0 * first[u, 0] + d1 * first[u, 1] + d2 * first[u, 2]
-    b = d0 * second[u, 0] + d1 * second[u, 1] + d2 * second[u, 2]
-    return a * b <= slack[u] * (d0 * d0 + d1 * d1 + d2 * d2)
+def step(points: FloatArray, i: int, others: FloatArray, j: int) -> Step:
+    """From the i-th of some points (P, 3) to the j-th of others (Q, 3), metres."""
+    return others[j, 0] - points[i, 0], others[j, 1] - points[i, 1], others[j, 2] - points[i, 2]
 
 
 @njit(cache=True, error_model="numpy")
-def wraps(
-    first: FloatArray, second: FloatArray, bend: float, u: int,
-    i0: float, i1: float, i2: float, o0: float, o1: float, o2: float,
-) -> bool:  # fmt: skip
+def norm(d: Step) -> float:
+    """Metres."""
+    return math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+
+
+@njit(cache=True, error_model="numpy")
+def tangent(features: Features, u: int, d: Step) -> bool:
+    """Whether a line of direction d through feature u stays out of the prism there."""
+    first, second = features.first, features.second
+    a = d[0] * first[u, 0] + d[1] * first[u, 1] + d[2] * first[u, 2]
+    b = d[0] * second[u, 0] + d[1] * second[u, 1] + d[2] * second[u, 2]
+    return a * b <= features.slack[u] * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+
+
+@njit(cache=True, error_model="numpy")
+def wraps(features: Features, u: int, i: Step, o: Step) -> bool:
     """Whether the bend from direction i into direction o is around the obstacle of feature u, not away from it."""
-    come, go = math.sqrt(i0 * i0 + i1 * i1 + i2 * i2), math.sqrt(o0 * o0 + o1 * o1 + o2 * o2)
-    limit = bend * come * go
-    t0, t1, t2 = o0 * come - i0 * go, o1 * come - i1 * go, o2 * come - i2 * go
+    first, second = features.first, features.second
+    come, go = norm(i), norm(o)
+    limit = features.bend * come * go
+    # the turn of the unit direction, times both lengths: a taut string turns towards what it is wound around
+    t0, t1, t2 = o[0] * come - i[0] * go, o[1] * come - i[1] * go, o[2] * come - i[2] * go
     a = t0 * first[u, 0] + t1 * first[u, 1] + t2 * first[u, 2]
     b = t0 * second[u, 0] + t1 * second[u, 1] + t2 * second[u, 2]
     return a <= limit and b <= limit
@@ -74,25 +97,22 @@ def _knows(pool: NDArray[np.int32], begin: int, end: int, u: int) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def look_around(space: FreeSpace, features: Features, sight: Sight, u: int) -> Sight:
+def look_around(view: View, sight: Sight, u: int) -> Sight:
     """Fill the list of feature u: every feature it sees along a line tangent at both."""
-    position, first, second, slack = features.position, features.first, features.second, features.slack
-    pool, begin, used = sight.pool, sight.begin, sight.used[0]
+    space, features = view.space, view.features
+    position, pool, begin, used = features.position, sight.pool, sight.begin, sight.used[0]
     begin[u] = used
-    here, there = np.empty(3), np.empty(3)
-    here[0], here[1], here[2] = position[u, 0], position[u, 1], position[u, 2]
     guess = -1
     for v in range(position.shape[0]):
         if v == u:
             continue
         if begin[v] >= 0:
-            clear = _knows(pool, begin[v], sight.end[v], u)
+            clear = _knows(pool, begin[v], sight.end[v], u)  # sight is mutual
         else:
-            there[0], there[1], there[2] = position[v, 0], position[v, 1], position[v, 2]
-            d0, d1, d2 = there[0] - here[0], there[1] - here[1], there[2] - here[2]
-            if not (tangent(first, second, slack, u, d0, d1, d2) and tangent(first, second, slack, v, d0, d1, d2)):
+            go = step(position, u, position, v)
+            if not (tangent(features, u, go) and tangent(features, v, go)):
                 continue
-            found = blocker(space, here, there, guess)
+            found = blocker(space, position[u], position[v], guess)
             clear = found < 0
             guess = guess if clear else found
         if clear:
@@ -109,21 +129,13 @@ def look_around(space: FreeSpace, features: Features, sight: Sight, u: int) -> S
 
 
 @njit(cache=True, error_model="numpy")
-def sees(
-    space: FreeSpace,
-    features: Features,
-    views: NDArray[np.uint8],
-    point: int,
-    p: FloatArray,
-    u: int,
-    at: FloatArray,
-    guess: int,
-) -> int:
-    """-1 if the point at p sees feature u, at ``at``, along a line tangent there; else what blocks it (K if unknown)."""
-    if views[point, u] != UNKNOWN:
-        return -1 if views[point, u] == SEEN else space.table.shape[0]
-    found = space.table.shape[0]
-    if tangent(features.first, features.second, features.slack, u, at[0] - p[0], at[1] - p[1], at[2] - p[2]):
-        found = blocker(space, p, at, guess)
-    views[point, u] = SEEN if found < 0 else HIDDEN
+def sees(view: View, point: int, u: int, guess: int) -> int:
+    """-1 if a point sees feature u along a line tangent there; else what blocks it (K if unknown)."""
+    seen = view.seen
+    if seen[point, u] != UNKNOWN:
+        return -1 if seen[point, u] == SEEN else view.space.table.shape[0]
+    points, position, found = view.points, view.features.position, view.space.table.shape[0]
+    if tangent(view.features, u, step(points, point, position, u)):
+        found = blocker(view.space, points[point], position[u], guess)
+    seen[point, u] = SEEN if found < 0 else HIDDEN
     return found

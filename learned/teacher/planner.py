@@ -72,8 +72,8 @@ def _propose(request: Request, method: str, refines: bool = False) -> Proposal:
         leg = ways.leg
         if request.tracking_margin_m > 0.0:
             margins = request.tracking_margin_m, 2.0 * request.tracking_margin_m
-            room, inside = roomier(request.scene, request.travel, bundles, *margins)
-            leg = find_ways(room, request.paths, travel=inside).leg
+            roomier_scene, roomier_travel = roomier(request.scene, request.travel, bundles, *margins)
+            leg = find_ways(roomier_scene, request.paths, travel=roomier_travel).leg
         samples = control_points(request.scene, bundles, leg)
     timing = {"oracle": asked - began, "policy": decided - asked, "refine": allocated - decided}
     timing["legs"] = perf_counter() - allocated

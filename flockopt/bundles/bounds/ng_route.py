@@ -1,8 +1,9 @@
 """Compiled labels over ng-routes: the cheapest priced routes of every drone from one dynamic program.
 
 An ng-route (Baldacci, Mingozzi and Roberti 2011) may come back to a task only after a task that does not have it
-among its nearest ones; it relaxes a route that serves each task once. Labels grow from the end of a route towards
-its first task, so that they know nothing of the drone: drones that share a matrix and an end share all labels, and
+among its nearest ones; it relaxes a route that serves each task once: elementary routes are NP-hard to price, while
+ng-routes need one label at most per load, front task and subset of a neighbourhood. Labels grow from the end of a route
+towards its first task, so that they know nothing of the drone: drones that share a matrix and an end share all labels, and
 a drone's routes are its legs from the start to the labels it can carry.
 """
 
@@ -83,12 +84,15 @@ def grow_labels(
         position: As in `Neighbourhood`.
         carried: As in `Neighbourhood`.
     """
+    # Over 60 lines: one pass fills a bucket after another, and all that it reads and fills is of this function; the loop
+    # over labels, as a function of its own, would take fourteen arrays.
     most, num = initial.shape[0] - 1, initial.shape[1]
     first = np.zeros((most + 1) * num + 1, np.int64)
     cheapest = np.full(most + 1, np.inf)  # by load
     room, count = 64 * num, 0
     costs, fronts = np.empty(room), np.empty(room, np.int64)
     memories, parents = np.empty(room, np.int64), np.empty(room, np.int64)
+    # The bucket at hand, by memory: what the cheapest label of each memory costs and comes from, and which there are.
     table, origin = np.full(1 << carried.shape[2], np.inf), np.empty(1 << carried.shape[2], np.int64)
     touched = np.empty(1 << carried.shape[2], np.int64)
     for load in range(most + 1):
@@ -103,6 +107,8 @@ def grow_labels(
                 # A label that remembers nothing dominates all dearer ones, and no later task has a shorter leg.
                 if cheapest[before] + leg >= table[0]:
                     break
+                # The front may not come again while the label remembers it; it itself is remembered if the new front's
+                # neighbourhood has it, and so is what the label remembers of that neighbourhood.
                 bit = position[task, front]
                 own = 0 if position[front, task] < 0 else 1 << position[front, task]
                 for label in range(first[before * num + task], first[before * num + task + 1]):
@@ -143,8 +149,9 @@ def _keep(
     costs: FloatArray,
 ) -> int:
     """Write a bucket's undominated labels, cheapest first, empty the table and return their number."""
+    # A label dominates a dearer one that remembers all that it does, and more: whatever completes that one completes it.
     kept = 0
-    for rank in range(touched.shape[0]):
+    for rank in range(touched.shape[0]):  # in rising order of cost, by selection: buckets are short
         best = rank
         for other in range(rank + 1, touched.shape[0]):
             if table[touched[other]] < table[touched[best]]:
@@ -178,6 +185,7 @@ def cheapest_labels(
         idle: (N,) m flown by a drone that serves no task.
     """
     num_drones, num = starts.shape
+    # Loads rise, so that the cheapest label of all lighter loads is known when a drone's capacity is reached.
     values, labels = idle.copy(), np.full(num_drones, -1)
     best, cheapest = np.full(num, -1), np.full(num, np.inf)  # by first task, of any load so far
     for load in range((first.shape[0] - 1) // max(num, 1)):

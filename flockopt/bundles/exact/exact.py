@@ -24,7 +24,7 @@ from flockopt.bundles import Bound, Bundles
 from flockopt.bundles.bounds.bounds import first_prices
 from flockopt.bundles.bounds.pricing import DroneGroup, ascend_prices, evaluate, group_drones, travel_ceiling
 from flockopt.bundles.exact.enumeration import Pool, enumerate_routes, idle_costs
-from flockopt.bundles.exact.route_program import Fleet, choose_routes
+from flockopt.bundles.exact.route_program import RouteRules, choose_routes
 from flockopt.bundles.explain import LENGTH_TOLERANCE_M, explained
 from flockopt.bundles.search.anneal import default_iterations, search
 from flockopt.bundles.search.construct import build_problem
@@ -147,7 +147,7 @@ class _Lists:
         searched = 0.0  # no allocation below `upper` has routes of no more slack than this only
         longest = np.array([math.inf if drone.max_distance is None else drone.max_distance for drone in self.scene.drones])
         longest += LENGTH_TOLERANCE_M
-        fleet = Fleet(self.scene.demands, self.scene.capacities, ~(self.travel.start_end <= longest))
+        fleet = RouteRules(self.scene.demands, self.scene.capacities, ~(self.travel.start_end <= longest))
         widest = (1.0 + OPTIMAL_GAP) * self.ceiling - self.value  # all that an allocation can use
         gap = min(widest, max(FIRST_GAP_SHARE * abs(proven), LEAST_GAP_M))
         while widest >= 0.0 and not _closed(upper, proven) and time.monotonic() < self.deadline:
@@ -174,7 +174,7 @@ class _Lists:
         return best, proven if widest >= 0.0 else math.inf
 
     def _choose(
-        self, pool: Pool, fleet: Fleet, searched: float, upper: float
+        self, pool: Pool, fleet: RouteRules, searched: float, upper: float
     ) -> tuple[tuple[tuple[int, ...], ...] | None, float]:
         """The cheapest routes in the pool, None unless they beat ``upper``, and a bound on all others in it, metres."""
         if not len(pool):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flockopt.errors import MissingExtra, SolverFailed
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["Program", "Solution"]
+__all__ = ["HighsProgram", "Solution"]
 
 #: Branch and bound ends where bound and solution are this close, metres.
 LEAST_MIP_GAP_M = 1e-7
@@ -34,8 +34,8 @@ class Solution:
     bound: float
 
 
-class Program:
-    """Minimise ``costs @ x`` over 0 <= x <= 1 with ``lower <= A x <= upper``; rows may be added, columns dropped.
+class HighsProgram:
+    """Minimise ``costs @ x`` over 0 <= x <= 1 with ``lower <= A x <= upper``; rows and columns may be added.
 
     Args:
         costs: (R,).
@@ -83,11 +83,6 @@ class Program:
         zeros, ones = np.zeros(len(costs)), np.ones(len(costs))
         status = self._highs.addCols(len(costs), costs, zeros, ones, len(rows), starts[:-1], rows, np.ones(len(rows)))
         self._check(status, "columns were refused")
-
-    def drop(self, columns: NDArray[np.int64]) -> None:
-        """Keep these columns at zero from now on."""
-        zeros = np.zeros(len(columns))
-        self._check(self._highs.changeColsBounds(len(columns), columns.astype(np.int32), zeros, zeros), "bounds were refused")
 
     def solve_linear(self, time_limit_s: float) -> Solution:
         """The linear program.

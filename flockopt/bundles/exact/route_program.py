@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from flockopt.bundles.exact.cuts import Cuts, no_cuts, violated_cuts
 from flockopt.bundles.exact.enumeration import Pool
-from flockopt.bundles.exact.highs import Program, Solution
+from flockopt.bundles.exact.highs import HighsProgram, Solution
 from flockopt.errors import SolverFailed
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["Choice", "Fleet", "choose_routes"]
+__all__ = ["Choice", "RouteRules", "choose_routes"]
 
 #: Cuts added in a round at most, and rounds.
 CUTS_PER_ROUND, CUT_ROUNDS = 60, 40
@@ -38,7 +38,7 @@ INTEGRALITY, PRICE_TOLERANCE_M = 1e-6, 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Fleet:
+class RouteRules:
     """What a choice of routes has to keep, besides each drone's own limits.
 
     Attributes:
@@ -65,7 +65,9 @@ class Choice:
     routes: NDArray[np.int64] | None
 
 
-def choose_routes(pool: Pool, fleet: Fleet, prices: FloatArray, least_slack: float, upper: float, deadline: float) -> Choice:
+def choose_routes(
+    pool: Pool, fleet: RouteRules, prices: FloatArray, least_slack: float, upper: float, deadline: float
+) -> Choice:
     """The cheapest routes that serve every task once.
 
     Args:
@@ -109,7 +111,7 @@ def choose_routes(pool: Pool, fleet: Fleet, prices: FloatArray, least_slack: flo
         most, rounds = int(BRANCHED_GROWTH * most), 0
 
 
-def _check_choice(routes: Pool, fleet: Fleet) -> None:
+def _check_choice(routes: Pool, fleet: RouteRules) -> None:
     """Raise a `SolverFailed` unless these routes serve every task once and every drone flies one at most."""
     served = np.bincount(routes.tasks[routes.tasks >= 0], minlength=len(fleet.demands))
     flown = np.bincount(routes.drones, minlength=len(fleet.capacities))
@@ -120,7 +122,7 @@ def _check_choice(routes: Pool, fleet: Fleet) -> None:
 class _Relaxation:
     """The linear relaxation over a pool and what its last duals prove."""
 
-    def __init__(self, pool: Pool, fleet: Fleet, prices: FloatArray, least_slack: float, deadline: float) -> None:
+    def __init__(self, pool: Pool, fleet: RouteRules, prices: FloatArray, least_slack: float, deadline: float) -> None:
         self.pool, self.fleet, self.deadline = pool, fleet, deadline
         self.num_tasks, self.num_rows = len(prices), len(prices) + len(fleet.must_fly)
         self.cuts = no_cuts(len(pool))
@@ -132,11 +134,11 @@ class _Relaxation:
         self.held = np.concatenate([order[:split][:FIRST_ROUTES], order[split:][:FIRST_ROUTES]])
         self.program = self.integer_program(self.held)
 
-    def integer_program(self, routes: NDArray[np.int64]) -> Program:
+    def integer_program(self, routes: NDArray[np.int64]) -> HighsProgram:
         """Rows for tasks, then drones, then cuts; columns for these routes."""
         lower = np.concatenate([np.ones(self.num_tasks), self.fleet.must_fly, self.cuts.lower])
         upper = np.concatenate([np.ones(self.num_rows), self.cuts.upper])
-        return Program(self.pool.costs[routes], *self._entries(routes), lower, upper)
+        return HighsProgram(self.pool.costs[routes], *self._entries(routes), lower, upper)
 
     def solve(self) -> FloatArray | None:
         """(R,) shares of the routes, and ``bound`` and ``slacks`` anew; None where there are none or no time is left."""

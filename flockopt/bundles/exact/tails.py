@@ -1,4 +1,9 @@
-"""Compiled growth of elementary route tails, and their match with drones; see `flockopt.bundles.exact.enumeration`."""
+"""Compiled growth of elementary route tails, and their match with drones; see `flockopt.bundles.exact.enumeration`.
+
+Of all routes only those matter whose slack, their priced cost above the least, is within the gap between the bounds
+(Baldacci, Christofides and Mingozzi 2008): an optimal choice holds no other. Tails grow task by task towards the front of a
+route; one is dropped as soon as the cheapest way to complete it, an ng-route's, passes the gap.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +44,7 @@ def _slot(
     for word in range(words.shape[0]):
         key = (key ^ words[word]) * HASH_FACTOR
         key ^= key >> 29
-    slot = key & (table.shape[0] - 1)
+    slot = key & (table.shape[0] - 1)  # the size is a power of two
     while table[slot] >= 0:
         tail = table[slot]
         if fronts[tail] == front:
@@ -81,6 +86,8 @@ def grow_tails(
         gap: Most slack, metres.
         limit: Tails at most.
     """
+    # Over 60 lines: a tail is looked up, made and bettered in one place, and the table grows between tails; cut apart,
+    # each part would take all of the dozen arrays.
     most, num = initial.shape[0] - 1, initial.shape[1]
     room = limit + num + 1
     fronts, costs, loads = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
@@ -99,14 +106,17 @@ def grow_tails(
                 of_load[load] = count
                 table[_slot(table, fronts, sets, front, sets[count])] = count
                 count += 1
+        # Demands are positive, so a tail's children are heavier: when its load's turn comes a tail is as short as it gets.
         tail = of_load[load]
         while tail >= 0 and count <= limit:
+            # At most half full, also after this tail's children: probes stay short, and end.
             if 2 * (count + num) > table.shape[0]:
                 table = _rehashed(table, fronts, sets, count)
             for front in range(num):
                 heavier = load + demands[front]
                 if heavier > most or sets[tail, front // WORD_BITS] >> (front % WORD_BITS) & 1:
                     continue
+                # A tail of the same front and tasks is kept once, by its least cost: any start completes both alike.
                 leg = between[front, fronts[tail]]
                 cost = costs[tail] + leg - prices[front]
                 if not cost + completions[heavier, front] <= gap:

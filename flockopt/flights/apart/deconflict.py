@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from flockopt.bundles import Bundles
 from flockopt.flights import Flight
 from flockopt.flights.apart.detour import Detours
-from flockopt.flights.apart.fleet import Fleet
+from flockopt.flights.apart.fleet import TimedFleet
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
@@ -63,7 +63,7 @@ def deconflict(
     Returns:
         The flights, delayed, slowed or rerouted; every pair that could not be kept apart is listed, never hidden.
     """
-    fleet = Fleet(scene, flights)
+    fleet = TimedFleet(scene, flights)
     if not fleet.meeting():
         return Deconflicted(flights, ())
     detours = Detours(scene, bundles, compute_travel(scene) if travel is None else travel, airborne)
@@ -77,5 +77,5 @@ def deconflict(
         drone, flight = change
         fleet.replace(drone, flight)
     timed = fleet.timed_flights()
-    left = [Conflict((scene.drones[a].id, scene.drones[b].id), time) for a, b, time in Fleet(scene, timed).conflicts()]
+    left = [Conflict((scene.drones[a].id, scene.drones[b].id), time) for a, b, time in TimedFleet(scene, timed).conflicts()]
     return Deconflicted(timed, tuple(left))

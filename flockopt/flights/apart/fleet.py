@@ -14,7 +14,7 @@ from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.scene.apart import least_resting_share
 
-__all__ = ["Fleet", "Timing"]
+__all__ = ["TimedFleet", "Timing"]
 
 #: Room kept beyond the separation where the starts leave any, metres.
 SEPARATION_RESERVE_M = 1e-3
@@ -43,7 +43,7 @@ class Timing:
     slowdown: float = 1.0
 
 
-class Fleet:
+class TimedFleet:
     """All drones' curves as arrays, their timing, and who meets whom."""
 
     def __init__(self, scene: Scene, flights: dict[str, Flight]) -> None:

@@ -24,7 +24,7 @@ from flockopt.geometry.continuous import curve_clear
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 
-__all__ = ["PolylineLaw", "Trial", "entering", "mended", "shortened", "widened"]
+__all__ = ["PolylineLaw", "Trial", "first_trial", "mend_faults", "merge_close_corners", "save_pieces"]
 
 #: Arguments and result as of `flockopt.flights.laws.fly_through.fly_polyline`.
 PolylineLaw: TypeAlias = Callable[
@@ -113,7 +113,7 @@ class Trial:
             yield replace(self.waypoints, rest_s=rest_s), self.caps
 
 
-def entering(waypoints: Waypoints, room: Room, law: PolylineLaw) -> Trial:
+def first_trial(waypoints: Waypoints, room: Room, law: PolylineLaw) -> Trial:
     """The first trial; of a drone that starts in motion, at the highest speed of its first leg that it can enter."""
     trial = Trial.make(waypoints, room, law)
     if not room.in_motion:
@@ -125,7 +125,7 @@ def entering(waypoints: Waypoints, room: Room, law: PolylineLaw) -> Trial:
     return trial
 
 
-def widened(trial: Trial) -> Trial:
+def merge_close_corners(trial: Trial) -> Trial:
     """The trial with close corners merged as long as that saves time, or pieces of which there are too many."""
     while True:
         ways = merged_corners(trial.waypoints, trial.room.space)
@@ -135,7 +135,7 @@ def widened(trial: Trial) -> Trial:
         trial = best
 
 
-def shortened(trial: Trial) -> Trial:
+def save_pieces(trial: Trial) -> Trial:
     """The trial with fewer pieces where it has more than `MOST_PIECES`: cruises are given up, shortest first."""
     excess = 0 if trial.room.in_motion else len(trial.coefficients) - MOST_PIECES
     for unwanted in range(excess, len(trial.caps) + 1) if excess > 0 else ():
@@ -145,7 +145,7 @@ def shortened(trial: Trial) -> Trial:
     return trial
 
 
-def mended(trial: Trial) -> Trial:
+def mend_faults(trial: Trial) -> Trial:
     """The trial with its faults mended one after another, each in the way that costs least time."""
     rounds = 4 * len(trial.caps)
     while trial.fault >= 0 and rounds > 0:

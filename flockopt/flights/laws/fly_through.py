@@ -243,6 +243,8 @@ def fly_polyline(
         breakpoints (K + 1,) s from 0; coefficients (K, 3, 5); the time at each point (n + 1,) s; and for each
         piece its owner (K,): 2 k for the blend around point k or the rest at it, 2 k + 1 for the cruise after it.
     """
+    # Over 60 lines: stages, their blends and cruises are written one after another into the same four arrays, each where
+    # the last one ended; a stage on its own would hand ten numbers and arrays back and forth.
     count = points.shape[0]
     durations, coefficients = np.empty(4 * count), np.zeros((4 * count, 3, 5))
     owners, times = np.empty(4 * count, dtype=np.int64), np.zeros(count)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from flockopt.records.arrays import FloatArray
 if TYPE_CHECKING:
     import casadi
 
-__all__ = ["STATE", "STEP", "Answer", "Program", "Task", "load_casadi", "program"]
+__all__ = ["STATE", "STEP", "Answer", "StageGoal", "StageProgram", "load_casadi", "program"]
 
 #: Numbers in a state; from one state to the next, with the duration between them; that a piece depends on.
 STATE, STEP, LOCAL = 9, 10, 19
@@ -86,7 +87,7 @@ def load_casadi() -> Any:
 
 
 @dataclass(frozen=True)
-class Task:
+class StageGoal:
     """What a stage is to do; weighted sums are over the control points of a piece.
 
     Attributes:
@@ -206,7 +207,7 @@ def _inner_products(degree: int) -> FloatArray:
     return np.outer(binomial, binomial) / joint / (2 * degree + 1)
 
 
-class Program:
+class StageProgram:
     """The program of a stage of ``num_pieces`` pieces with ``num_rows`` inequalities on each."""
 
     def __init__(self, num_pieces: int, num_rows: int) -> None:
@@ -242,23 +243,25 @@ class Program:
                 "nlp_hess_l", [x, p, cost_weight, multipliers], [curvature], inputs, ["triu_hess_gamma_x_x"]
             ),
         }
+        self._in_use = Lock()  # a solver keeps the numbers of its last run, which another thread must not mix with its own
         self._solver = ca.nlpsol("smooth", "ipopt", {"x": x, "p": p, "f": f, "g": g}, {**OPTIONS, **derivatives})
 
-    def solve(self, task: Task, guess: FloatArray, lower: FloatArray, upper: FloatArray) -> Answer:
+    def solve(self, task: StageGoal, guess: FloatArray, lower: FloatArray, upper: FloatArray) -> Answer:
         """Solve from a guess of the variables within bounds on them, each (STEP * K + STATE,).
 
         Raises:
             SolverFailed: If CasADi or Ipopt crash; not finding an answer is a status.
         """
         floor, ceiling = self._bounds(task, guess)
-        try:
-            found = self._solver(x0=guess, p=task.parameters(), lbx=lower, ubx=upper, lbg=floor, ubg=ceiling)
-            stats = self._solver.stats()
-        except RuntimeError as fault:
-            raise SolverFailed("ipopt", str(fault)) from None
+        with self._in_use:
+            try:
+                found = self._solver(x0=guess, p=task.parameters(), lbx=lower, ubx=upper, lbg=floor, ubg=ceiling)
+                stats = self._solver.stats()
+            except RuntimeError as fault:
+                raise SolverFailed("ipopt", str(fault)) from None
         return Answer(np.array(found["x"]).ravel(), int(stats["iter_count"]), str(stats["return_status"]))
 
-    def _bounds(self, task: Task, guess: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _bounds(self, task: StageGoal, guess: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Bounds on all constraints; unused ones have none, and the state it begins with is given as it is."""
         shape, limits = (self.num_pieces, self.num_limits + 3 + self.num_rows), self.num_limits
         floor, ceiling = np.full(shape, -np.inf), np.full(shape, np.inf)
@@ -281,6 +284,6 @@ def _assembled(down: NDArray[np.int64], across: NDArray[np.int64], shape: tuple[
 
 
 @lru_cache(maxsize=64)
-def program(num_pieces: int, num_rows: int) -> Program:
+def program(num_pieces: int, num_rows: int) -> StageProgram:
     """The program of this size, built once."""
-    return Program(num_pieces, num_rows)
+    return StageProgram(num_pieces, num_rows)

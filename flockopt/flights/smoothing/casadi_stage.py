@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flockopt.flights.smoothing.acceptance import Anchors, Weights, is_acceptable, is_clear, limits_of, within_limits
-from flockopt.flights.smoothing.casadi_program import STATE, STEP, Answer, Task, program
+from flockopt.flights.smoothing.casadi_program import STATE, STEP, Answer, StageGoal, program
 from flockopt.flights.smoothing.stages import Stage
 from flockopt.flights.smoothing.tangents import tangent_rows
 from flockopt.geometry.distances import distances
@@ -126,7 +126,7 @@ def _solve(
     units = _Units(speed**2 / acceleration, speed / acceleration, guess.states[0, 0])
     near = begin if begin is guess or is_clear(scene, drone, begin) else guess  # half-spaces are for where there is room
     rows, offsets = _fewest(*_half_spaces(scene, drone, near, num_rows, reach * units.length))
-    task = Task(
+    task = StageGoal(
         time_weight=weights.time * units.time,
         jerk_weight=weights.jerk * units.length**2 / units.time**5,
         tightness=LIMIT_SHARES,

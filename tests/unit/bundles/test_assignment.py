@@ -1,16 +1,16 @@
-"""The transport polytope and the predecessor arcs: primal, dual and rounding."""
+"""The transport polytope: primal, dual and rounding."""
 
 from __future__ import annotations
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from flockopt import MissingExtra, SettingsError
-from flockopt.bundles.assignment import predecessor_arcs, transport
-from flockopt.bundles.exact.exact import solve_exact
-from flockopt.travel.travel import straight_travel
+from flockopt.bundles.assignment import transport
+from flockopt.bundles.refine import refine_bundles
 from tests.instances import random_scene
 
 
@@ -51,24 +51,14 @@ def test_too_little_capacity_leaves_tasks_out():
     assert abs(answer.residuals.gap) <= 1e-9
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_predecessor_arcs_bound_the_optimum_and_both_solvers_agree(seed: int):
-    scene, _ = case(seed)
-    travel = straight_travel(scene)
-    fast, slow = predecessor_arcs(scene, travel), predecessor_arcs(scene, travel, solver="clarabel")
-    assert fast.value == pytest.approx(slow.value, abs=1e-5)
-    assert abs(fast.residuals.gap) <= 1e-9
-    assert fast.value <= travel.total(solve_exact(scene, travel).bundles.routes) + 1e-9
-
-
-def test_any_prices_prove_a_bound():
-    scene, _ = case(1)
-    travel = straight_travel(scene)
-    best = travel.total(solve_exact(scene, travel).bundles.routes)
-    costs = np.vstack([travel.start_task, travel.task_task[0] + np.diag(np.full(9, np.inf))])
-    for seed in range(50):
-        prices = np.random.default_rng(seed).exponential(2.0, 13)
-        assert (costs + prices[:, None]).min(axis=0).sum() - prices.sum() <= best
+def test_eight_threads_get_what_one_gets():
+    """A problem is built once per size and written into by every solve."""
+    scenes = [case(seed, capacity=6, demands=True) for seed in range(4)] * 4
+    alone = [refine_bundles(scene, preferences, method="lp").routes for scene, preferences in scenes]
+    with ThreadPoolExecutor(8) as threads:
+        together = threads.map(lambda one: refine_bundles(*one, method="lp").routes, scenes)
+        assert list(together) == alone
+    assert len(set(alone)) == 4
 
 
 def test_bad_settings_and_a_missing_solver(monkeypatch):
@@ -77,8 +67,6 @@ def test_bad_settings_and_a_missing_solver(monkeypatch):
         transport(scene, preferences, solver="simplex")
     with pytest.raises(SettingsError, match="serves unit demands only"):
         transport(scene, preferences, solver="scipy")
-    with pytest.raises(SettingsError, match="solver is 'auto'"):
-        predecessor_arcs(scene, straight_travel(scene), solver="auto")
     monkeypatch.setitem(sys.modules, "cvxpy", None)
     with pytest.raises(MissingExtra, match=r"cvxpy.*solvers"):
         transport(scene, preferences)

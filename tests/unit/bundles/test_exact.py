@@ -15,7 +15,7 @@ from flockopt.bundles.exact import exact
 from flockopt.bundles.exact.cuts import violated_cuts
 from flockopt.bundles.exact.enumeration import enumerate_routes
 from flockopt.bundles.exact.exact import solve_exact
-from flockopt.bundles.exact.highs import Program
+from flockopt.bundles.exact.highs import HighsProgram
 from flockopt.errors import MissingExtra, SettingsError, SolverFailed
 from flockopt.scene import Bounds, Drone, Scene, Task
 from flockopt.travel.travel import straight_travel
@@ -31,7 +31,7 @@ def row_of_columns(costs, columns, lower, upper):
     """A program of 0/1 columns, each with a one in the rows that are named."""
     starts = np.cumsum([0, *map(len, columns)]).astype(np.int32)
     rows = np.array(list(itertools.chain(*columns)), dtype=np.int32)
-    return Program(np.array(costs, float), starts, rows, np.array(lower, float), np.array(upper, float))
+    return HighsProgram(np.array(costs, float), starts, rows, np.array(lower, float), np.array(upper, float))
 
 
 def test_optimal_bundles_are_proven_and_carry_a_checkable_bound():
@@ -116,7 +116,7 @@ def test_a_missing_solver_names_its_extra(monkeypatch):
 
 def test_a_solver_that_does_not_load_or_refuses_is_named(monkeypatch):
     with pytest.raises(SolverFailed, match="HiGHS failed: the model was refused"):
-        Program(np.ones(1), np.array([0, 1], np.int32), np.array([7], np.int32), np.ones(1), np.ones(1))
+        HighsProgram(np.ones(1), np.array([0, 1], np.int32), np.array([7], np.int32), np.ones(1), np.ones(1))
     broken = type(sys)("highspy")
     broken.__getattr__ = lambda name: (_ for _ in ()).throw(ImportError("undefined symbol"))
     monkeypatch.setitem(sys.modules, "highspy", broken)
@@ -185,13 +185,13 @@ def test_too_few_routes_for_a_load_break_a_capacity_cut():
 
 def test_a_solver_whose_choice_breaks_a_rule_is_not_believed(monkeypatch):
     scene, travel = instance(seed=2)
-    honest = Program.solve_linear
+    honest = HighsProgram.solve_linear
 
     def liar(program, time_limit_s):
         solution = honest(program, time_limit_s)
         return replace(solution, values=None if solution.values is None else np.zeros_like(solution.values))
 
-    monkeypatch.setattr(Program, "solve_linear", liar)
+    monkeypatch.setattr(HighsProgram, "solve_linear", liar)
     monkeypatch.setattr(exact, "search", lambda *_, **__: ((),) * scene.num_drones)
     with pytest.raises(SolverFailed, match="leaves a task out"):
         solve_exact(scene, travel)

@@ -3,7 +3,7 @@ import pytest
 
 from flockopt.errors import MissingExtra, SolverFailed
 from flockopt.flights.smoothing import casadi_program
-from flockopt.flights.smoothing.casadi_program import STATE, STEP, Program, Task, load_casadi, program
+from flockopt.flights.smoothing.casadi_program import STATE, STEP, StageProgram, StageGoal, load_casadi, program
 from flockopt.flights.smoothing.stages import TERMS, Stage
 from flockopt.geometry.bernstein import largest_norm
 
@@ -24,7 +24,7 @@ def task(rng, **fields):
         "rows": rng.normal(size=(PIECES, ROWS, 3, TERMS)),
         "offsets": rng.normal(size=(PIECES, ROWS)),
     }
-    return Task(**(settings | fields))
+    return StageGoal(**(settings | fields))
 
 
 @pytest.fixture
@@ -122,12 +122,12 @@ def test_it_solves_what_has_a_known_answer():
 def test_programs_are_built_once(monkeypatch):
     built = []
 
-    class Counted(Program):
+    class Counted(StageProgram):
         def __init__(self, *size):
             built.append(size)
             super().__init__(*size)
 
-    monkeypatch.setattr(casadi_program, "Program", Counted)
+    monkeypatch.setattr(casadi_program, "StageProgram", Counted)
     program.cache_clear()
     assert program(2, 4) is program(2, 4)
     program(3, 4)
