@@ -72,7 +72,9 @@ def _task_fault(scene: Scene, travel: Travel, task: int, is_short: bool) -> tupl
     alone = np.where(able, travel.start_task[:, task] + travel.task_end[:, task], np.inf)  # (N,) m
     if not np.isfinite(alone).any():
         need = float(scene.radii[able].min()) + scene.clearance
-        words = f"cannot be reached by any drone that can carry it: no way was found that keeps radius + clearance ({need:.6g} m)"
+        words = (
+            f"cannot be reached by any drone that can carry it: no way was found that keeps radius + clearance ({need:.6g} m)"
+        )
         return f"{head} {words}; move it or the obstacles", True
     limits = np.array([np.inf if drone.max_distance is None else drone.max_distance for drone in scene.drones])
     if not (alone <= limits + LENGTH_TOLERANCE_M).any():

@@ -84,7 +84,9 @@ def _packed(request: AllocationRequest, bundles: Bundles, method: str) -> Bundle
     packing = pack(scene, travel, thorough=request.iterations is None)
     if packing.is_impossible:
         words = "no way to share the tasks out keeps every capacity, and that is proven; split a task or raise a capacity"
-        return replace(bundles, status=Status.INFEASIBLE, reason="; ".join([words, *(reason for _, reason in bundles.unserved)]))
+        return replace(
+            bundles, status=Status.INFEASIBLE, reason="; ".join([words, *(reason for _, reason in bundles.unserved)])
+        )
     if packing.drones is None:
         return bundles
     carried = [[task for task, drone in enumerate(packing.drones) if drone == i] for i in range(scene.num_drones)]

@@ -68,8 +68,8 @@ def _tasks_near(scene: Scene, grounded: list[int]) -> Iterator[tuple[int, str]]:
         metres = math.dist(scene.tasks[j].position, scene.starts[g])
         yield (
             int(j),
-            f"tasks[{j}] ({scene.tasks[j].id}) is {metres:.4g} m from where {_stands(scene, g)}, and a drone that serves it must "
-            f"keep {least_apart(scene, i, g)} apart; move one of the two, or give the drone that stands there capacity",
+            f"tasks[{j}] ({scene.tasks[j].id}) is {metres:.4g} m from where {_stands(scene, g)}, and a drone that serves it "
+            f"must keep {least_apart(scene, i, g)} apart; move one of the two, or give the drone that stands there capacity",
         )
 
 

@@ -19,7 +19,7 @@ BYTE_ORDER_MARK = "\ufeff"
 
 
 def parse_json(error: Error, content: str, source: str) -> Any:
-    """JSON with no repeated keys; ``source`` names the file in messages. A byte-order mark before it says nothing, and is let be."""
+    """JSON with no repeated keys; ``source`` names the file in messages. A byte-order mark is no fault."""
 
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
         record = dict(items)

@@ -38,7 +38,8 @@ def least_resting_share(scene: Scene) -> float:
     grounded = [i for i, drone in enumerate(scene.drones) if is_grounded(drone)]
     places[grounded] = scene.starts[grounded]
     resting = np.flatnonzero(~np.isnan(places[:, 0]))
-    return min((float(_shares(scene, places, resting[:rank], i).min()) for rank, i in enumerate(resting) if rank), default=np.inf)
+    later = list(enumerate(resting.tolist()))[1:]
+    return min((float(_shares(scene, places, resting[:rank], i).min()) for rank, i in later), default=np.inf)
 
 
 def _shares(scene: Scene, places: FloatArray, others: NDArray[np.int64], i: int) -> FloatArray:
@@ -58,10 +59,10 @@ def least_apart(scene: Scene, i: int, j: int) -> str:
 def check_ends_apart(scene: Scene) -> None:
     """Refuse two ends, those at drones' starts included, at which both drones cannot rest."""
     with_end = np.flatnonzero(~np.isnan(scene.ends[:, 0]))
-    for rank, i in enumerate(with_end[1:], start=1):
+    for rank, i in list(enumerate(with_end.tolist()))[1:]:
         shares = _shares(scene, scene.ends, with_end[:rank], i)
         if shares.min() < 1.0 - ROUNDING:
-            j = with_end[int(shares.argmin())]
+            j = int(with_end[int(shares.argmin())])
             raise SceneError(
                 f"drones[{i}].end", f"is {math.dist(scene.ends[i], scene.ends[j]):.4g} m from drones[{j}].end",
                 f"ends must be {least_apart(scene, i, j)} apart, for both drones rest there", "move one of them",

@@ -9,7 +9,8 @@ from flockopt.errors import SceneError
 from flockopt.records import checks
 
 __all__ = [
-    "LARGEST_COORDINATE_M", "LARGEST_SIDE_M", "MOST_DEMAND", "angle", "load", "measure", "place", "positive", "seconds", "width",
+    "LARGEST_COORDINATE_M", "LARGEST_SIDE_M", "MOST_DEMAND", "angle", "load", "measure", "place", "positive", "seconds",
+    "width",
 ]  # fmt: skip
 
 #: Sizes, limits and distances lie between these, in SI units: the judge's tolerances (1e-6) decide below, rounding above.

@@ -24,7 +24,7 @@ MOST_MARGIN_M = 5e-3
 #: For small drones that is less: at most this share of what they keep from obstacles.
 MARGIN_SHARE = 0.05
 
-#: Shares of that margin with which a way is looked for where the whole margin closes it; the last ones leave what rounding needs.
+#: Shares of that margin with which a way is looked for where the whole of it closes one: down to none.
 SMALLER_MARGINS = (0.2, 0.02, 0.0)
 
 
@@ -32,7 +32,8 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
     """Shortest any-angle distances and paths that keep clear of obstacles and within bounds.
 
     Each obstacle is kept at ``radius + clearance`` and a margin of up to `MOST_MARGIN_M`, less where a start, an
-    end or a task is nearer than that, and where it closes the only way. A task too near an obstacle for a class of drones has no way for them.
+    end or a task is nearer than that, and where it closes the only way. A task too near an obstacle for a class of
+    drones has no way for them.
 
     Args:
         scene: The scene.
@@ -78,7 +79,9 @@ def roomy_needs(gaps: FloatArray, need: float, share: float = 1.0) -> FloatArray
         share: Of the margin, what is to be kept too.
     """
     least_slack = (gaps - need).min(axis=0)  # (K,)
-    margins = np.where(least_slack > 0.0, share * np.minimum(0.5 * least_slack, min(MOST_MARGIN_M, MARGIN_SHARE * need)), least_slack)
+    margins = np.where(
+        least_slack > 0.0, share * np.minimum(0.5 * least_slack, min(MOST_MARGIN_M, MARGIN_SHARE * need)), least_slack
+    )
     needs: FloatArray = need + margins
     return needs
 

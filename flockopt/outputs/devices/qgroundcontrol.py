@@ -69,8 +69,10 @@ def convert(plan: Plan, scene: Scene) -> tuple[dict[str, str], list[str]]:
             mend = "use letters, digits, dots, dashes and underscores"
             misfits.append(f"drone {drone.id} has an id that makes no file name; {mend}")
         if math.hypot(*drone.start) > FARTHEST_M:
-            far = f"starts {math.hypot(*drone.start) / 1e3:.0f} km from the scene's (0, 0, 0), where its origin says it is on Earth"
-            mend = f"places are within {FARTHEST_M / 1e3:g} km of it; subtract an offset from the scene, and give the origin there"
+            far = f"starts {math.hypot(*drone.start) / 1e3:.0f} km from the scene's (0, 0, 0), which its origin puts on Earth"
+            mend = (
+                f"places are within {FARTHEST_M / 1e3:g} km of it; subtract an offset from the scene, and give the origin there"
+            )
             misfits.append(f"drone {drone.id} {far}; {mend}")
         files[f"{drone.id}.plan"] = json.dumps(mission(scene, scene.origin, drone, plan.flights[drone.id]), indent=4) + "\n"
     return files, misfits
