@@ -34,6 +34,21 @@ class Legs:
     offsets: NDArray[np.int64]
     bends: FloatArray
 
+    def with_more(self, more: Legs) -> Legs:
+        """These legs, and others between pairs that have none here."""
+        if not np.isfinite(more.lengths[np.isinf(self.lengths)]).any():
+            return self
+        pairs = np.concatenate([self.pairs, more.pairs])
+        order = np.lexsort((pairs[:, 1], pairs[:, 0]))
+        bends = [part for legs in (self, more) for part in np.split(legs.bends, legs.offsets[1:-1])[: len(legs.pairs)]]
+        sizes = [len(bends[leg]) for leg in order]
+        return Legs(
+            np.minimum(self.lengths, more.lengths),
+            pairs[order],
+            np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]),
+            np.concatenate([np.empty((0, 3)), *(bends[leg] for leg in order)]),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Drawn:

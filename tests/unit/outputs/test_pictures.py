@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 
-from flockopt import Curve, Flight, MissingExtra, PlanError, SettingsError, Visit, generate, show
+from flockopt import Curve, Flight, MissingExtra, PlanError, Scene, SettingsError, Visit, generate, show
 from flockopt.certificate import Certificate, Clause, Cost, Plan
 from flockopt.outputs.pictures.motion import sample_motion
 from flockopt.outputs.pictures.style import headline
@@ -92,6 +92,16 @@ def test_the_page_carries_the_flight(tmp_path):
         assert np.allclose(record["coefficients"], plan.flights[drone.id].curve.coefficients, rtol=1e-8)
         end = [sum(term * 4.0**n for n, term in enumerate(axis)) for axis in record["coefficients"][0]]
         assert end == pytest.approx(scene.tasks[int(drone.id[1:])].position, abs=1e-6)
+
+
+def test_the_page_is_drawn_near_zero(root, tmp_path):
+    scene = Scene.load(root / "tests/cases/two-utm.json")
+    show(scene, tmp_path / "a.html", straight_plan(scene))
+    data = page_data(tmp_path / "a.html")
+    places = [data["bounds"]["upper"], *(task["position"] for task in data["tasks"]), data["obstacles"][0]["center"]]
+    assert np.abs(np.array(places)).max() <= 5.0
+    first = data["drones"][0]
+    assert [axis[0] for axis in first["coefficients"][0]] == first["start"] == [-4.0, -4.0, 1.0]
 
 
 def test_names_cannot_break_out_of_the_page(tmp_path):
