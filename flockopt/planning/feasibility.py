@@ -59,7 +59,7 @@ def _tasks_near(scene: Scene, grounded: list[int]) -> Iterator[tuple[int, str]]:
     able = scene.capacities[:, None] >= scene.demands[None, :]  # (N, M)
     kept_by = np.full(able.shape, -1)
     for g in grounded:
-        for i in np.flatnonzero(able.any(axis=1)):
+        for i in np.flatnonzero(able.any(axis=1)).tolist():
             shares = shares_apart(scene, i, scene.starts[g], g, scene.task_positions)
             kept_by[i, shares < 1.0 - ROUNDING] = g
     for j in np.flatnonzero(able.any(axis=0) & (~able | (kept_by >= 0)).all(axis=0)):
