@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("highspy", reason="highspy comes with the extra 'solvers'")
 pytest.importorskip("ortools", reason="OR-Tools comes with the extra 'solvers'")
 
-from benchmarks.optimality_gap import uniform_scene
+from benchmarks.allocation_cases import uniform_scene
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.bundles.exact.exact import solve_exact
 from flockopt.certificate.proof import recompute_bound
