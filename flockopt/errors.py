@@ -59,7 +59,8 @@ class MissingExtra(FlockError, ImportError):
 
     def __init__(self, package: str, extra: str) -> None:
         self.package, self.extra = package, extra
-        super().__init__(f"{package} is not installed; it comes with the extra '{extra}'; pip install 'flockopt[{extra}]'")
+        mend = f"pip install 'flockopt[{extra}]', where it has a wheel (docs/installing.md)"
+        super().__init__(f"{package} is not installed; it comes with the extra '{extra}'; {mend}")
 
 
 def require(module: str, extra: str, package: str = "") -> Any:

@@ -1,14 +1,16 @@
-"""What the tests share: small scenes, and the command line run in this process."""
+"""What the tests share: small scenes, the command line run in this process, and what becomes of tests of missing packages."""
 
 from __future__ import annotations
 
 import copy
 import json
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
 
-from flockopt import Scene
+from flockopt import MissingExtra, Scene
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -45,3 +47,28 @@ def flockopt(capsys):
         return status, captured.out, captured.err
 
     return run
+
+
+@contextmanager
+def missing_skips():
+    """Skip a test that asks for an optional package which is not installed, with the reason; an installed one must be found."""
+    try:
+        yield
+    except MissingExtra as missing:
+        try:
+            version(missing.package)
+        except PackageNotFoundError:
+            pytest.skip(str(missing))
+        raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item):
+    with missing_skips():
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    with missing_skips():
+        return (yield)

@@ -202,6 +202,7 @@ def test_a_new_process_says_the_same(two_drones, tmp_path):
 
 
 def test_a_plan_too_large_to_draw(flockopt, root, tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     scene = root / "examples/scenes/two-drones.json"
     assert flockopt("plan", scene, "-o", tmp_path / "plan.json", "--quiet") == (0, "", "")
     record = json.loads((tmp_path / "plan.json").read_text())

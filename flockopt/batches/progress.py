@@ -79,7 +79,7 @@ class StageLine:
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet, self._live = quiet, sys.stderr.isatty()
         self._begun = time.monotonic()
-        self._drawn_at, self._width, self._stage = 0.0, 0, ""
+        self._drawn_at, self._width, self._stage, self._told = 0.0, 0, "", 0.0
 
     def __call__(self, stage: str, fraction: float) -> None:
         """Report that ``fraction`` (0 to 1) of ``stage`` is done."""
@@ -93,6 +93,19 @@ class StageLine:
         elif not self._live and stage != self._stage:
             print(f"{stage}, {elapsed:.1f} s", file=sys.stderr, flush=True)
         self._stage = stage
+
+    def tell(self, words: str, fraction: float) -> None:
+        """Report that ``fraction`` (0 to 1) of something in the middle of a stage is done; a line of its own now and then."""
+        now = time.monotonic()
+        elapsed = now - self._begun
+        if self._quiet or elapsed < PATIENCE_S:
+            return
+        if self._live and now - self._drawn_at >= REDRAW_S:
+            self._redraw(f"{words}, {elapsed:.1f} s")
+            self._drawn_at = now
+        elif not self._live and fraction - self._told >= SHARE_A_LINE:
+            print(f"{words}, {elapsed:.1f} s", file=sys.stderr, flush=True)
+            self._told = fraction
 
     def __enter__(self) -> Self:
         return self

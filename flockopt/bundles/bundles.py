@@ -34,7 +34,7 @@ class Bundles:
         routes: N tuples of task indices in visiting order.
         unserved: (task index, reason) of every task that no drone visits.
         status: One of `flockopt.records.status.BUNDLE_STATUSES`.
-        reason: Why it is infeasible; empty otherwise.
+        reason: Why it is infeasible or incomplete; empty otherwise.
     """
 
     routes: tuple[tuple[int, ...], ...]

@@ -19,8 +19,14 @@ LENGTH_TOLERANCE_M = 1e-9
 MOST_NAMED = 5
 
 
+#: What is said of tasks that are left over without a proof that they must be.
+NOT_FOUND = (
+    "no allocation that serves all tasks was found; none is proven impossible: give it more time or try the planner exact"
+)
+
+
 def explained(scene: Scene, travel: Travel, routes: RouteTuple) -> Bundles:
-    """Bundles of these routes: feasible, or infeasible with what is left over and why."""
+    """Bundles of these routes: feasible; or incomplete, or proven infeasible, with what is left over and why."""
     served = {task for route in routes for task in route}
     left = [task for task in range(scene.num_tasks) if task not in served]
     faults = [_end_fault(scene, travel, drone) for drone, route in enumerate(routes) if not route]
@@ -33,10 +39,14 @@ def explained(scene: Scene, travel: Travel, routes: RouteTuple) -> Bundles:
             f"the tasks demand {scene.demands.sum():g} and the fleet carries {scene.capacities.sum():g}: {short:g} too little; "
             "add drones or raise capacities"
         )
-    unserved = tuple((task, _task_fault(scene, travel, task, short > 0)) for task in left)
+    told = [(task, *_task_fault(scene, travel, task, short > 0)) for task in left]
+    unserved = tuple((task, reason) for task, reason, _ in told)
+    is_proven = bool(faults) or any(proven for _, _, proven in told)
     reasons = list(dict.fromkeys([*faults, *(reason for _, reason in unserved)]))
     named = reasons[:MOST_NAMED] + ["..."] * (len(reasons) > MOST_NAMED)
-    return Bundles(routes, unserved, Status.INFEASIBLE, "; ".join(named))
+    if is_proven:
+        return Bundles(routes, unserved, Status.INFEASIBLE, "; ".join(named))
+    return Bundles(routes, unserved, Status.INCOMPLETE, "; ".join([NOT_FOUND, *named]))
 
 
 def _end_fault(scene: Scene, travel: Travel, drone: int) -> str:
@@ -50,20 +60,25 @@ def _end_fault(scene: Scene, travel: Travel, drone: int) -> str:
     return ""
 
 
-def _task_fault(scene: Scene, travel: Travel, task: int, is_short: bool) -> str:
-    """Why no drone serves the task."""
+def _task_fault(scene: Scene, travel: Travel, task: int, is_short: bool) -> tuple[str, bool]:
+    """Why no drone serves the task, and whether that is proven."""
     head, demand = f"tasks[{task}] ({scene.tasks[task].id})", scene.demands[task]
     if scene.capacities.max() == 0:
-        return f"{head} is left over; no drone has any capacity left; add drones"
+        return f"{head} is left over; no drone has any capacity left; add drones", True
     if demand > scene.capacities.max():
-        return f"{head} demands {demand:g}, more than any capacity ({scene.capacities.max():g}); split it or raise a capacity"
+        most = scene.capacities.max()
+        return f"{head} demands {demand:g}, more than any capacity ({most:g}); split it or raise a capacity", True
     able = scene.capacities >= demand
     alone = np.where(able, travel.start_task[:, task] + travel.task_end[:, task], np.inf)  # (N,) m
     if not np.isfinite(alone).any():
-        return f"{head} cannot be reached by any drone that can carry it; move it or the obstacles"
+        need = float(scene.radii[able].min()) + scene.clearance
+        words = (
+            f"cannot be reached by any drone that can carry it: no way was found that keeps radius + clearance ({need:.6g} m)"
+        )
+        return f"{head} {words}; move it or the obstacles", True
     limits = np.array([np.inf if drone.max_distance is None else drone.max_distance for drone in scene.drones])
     if not (alone <= limits + LENGTH_TOLERANCE_M).any():
-        return f"{head} is too far for every drone's max_distance (at least {alone.min():g} m); raise one"
+        return f"{head} is too far for every drone's max_distance (at least {alone.min():g} m); raise one", True
     if is_short:
-        return f"{head} is left over; the fleet is full"
-    return f"{head} is left over; no drone was found to have room for it; raise capacities or max_distance"
+        return f"{head} is left over; the fleet is full", True
+    return f"{head} is left over; no drone was found to have room for it; raise capacities or max_distance", False

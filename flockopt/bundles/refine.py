@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from flockopt.bundles.bundles import Bundles
-from flockopt.bundles.explain import explained
+from flockopt.bundles.explain import LENGTH_TOLERANCE_M, explained
 from flockopt.bundles.request import AllocationRequest, checked_limits, checked_preferences, checked_routes
 from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
 __all__ = ["METHODS", "refine_bundles"]
+
+#: Methods that begin with given routes and make them no worse.
+WARM_STARTED = ("search", "cvrp")
+
+#: Share of a time limit that is spent anew on routes that a packing gave.
+AGAIN_SHARE = 0.2
 
 #: What a preference of zero counts as, relative to the task's greatest.
 LEAST_PREFERENCE = 1e-6
@@ -33,8 +41,9 @@ def refine_bundles(
 ) -> Bundles:
     """Which drone visits which tasks in which order, with little travel in all.
 
-    Each task is served once, capacities and ``max_distance`` are kept. Where that is impossible the status is
-    ``"infeasible"``: what was found to fit is served, and the other tasks are named with the reason.
+    Each task is served once, capacities and ``max_distance`` are kept. Where that is proven impossible the status is
+    ``"infeasible"``, where it was only not found ``"incomplete"``: what was found to fit is served, and the other tasks are
+    named with the reason.
 
     Args:
         scene: The scene.
@@ -61,7 +70,37 @@ def refine_bundles(
         travel = compute_travel(scene)
     if scene.num_tasks == 0:
         return explained(scene, travel, ((),) * scene.num_drones)
-    return METHODS[method](AllocationRequest(scene, travel, preferences, routes, iterations, time_limit_s, seed))
+    request = AllocationRequest(scene, travel, preferences, routes, iterations, time_limit_s, seed)
+    bundles = METHODS[method](request)
+    return _packed(request, bundles, method) if bundles.status == Status.INCOMPLETE else bundles
+
+
+def _packed(request: AllocationRequest, bundles: Bundles, method: str) -> Bundles:
+    """Better than bundles that leave tasks over: all tasks by a packing of their demands, or a proof that there is none."""
+    from flockopt.bundles.packing import pack
+    from flockopt.bundles.tour import shortest_order
+
+    scene, travel = request.scene, request.travel
+    packing = pack(scene, travel, thorough=request.iterations is None)
+    if packing.is_impossible:
+        words = "no way to share the tasks out keeps every capacity, and that is proven; split a task or raise a capacity"
+        return replace(
+            bundles, status=Status.INFEASIBLE, reason="; ".join([words, *(reason for _, reason in bundles.unserved)])
+        )
+    if packing.drones is None:
+        return bundles
+    carried = [[task for task, drone in enumerate(packing.drones) if drone == i] for i in range(scene.num_drones)]
+    routes = tuple(shortest_order(travel, i, tasks) for i, tasks in enumerate(carried))
+    limits = [np.inf if drone.max_distance is None else drone.max_distance for drone in scene.drones]
+    lengths = [travel.route_length(i, route) for i, route in enumerate(routes)]
+    if any(not length <= limit + LENGTH_TOLERANCE_M for length, limit in zip(lengths, limits, strict=True)):
+        return bundles
+    packed = explained(scene, travel, routes)
+    if method not in WARM_STARTED:
+        return packed
+    left_s = None if request.time_limit_s is None else AGAIN_SHARE * request.time_limit_s
+    better = METHODS[method](replace(request, warm_start=routes, time_limit_s=left_s))
+    return packed if better.unserved else better
 
 
 def _by_search(request: AllocationRequest) -> Bundles:

@@ -15,16 +15,18 @@ from flockopt.certificate.case import JudgedCase, Worst, check_names
 from flockopt.certificate.certificate import CLAUSES, FLYABILITY, Certificate, Clause
 from flockopt.certificate.clauses import JUDGES, _in_space
 from flockopt.certificate.engines import ENGINES
+from flockopt.certificate.placement import certificate_from, plan_into
 from flockopt.certificate.plan_file import Plan
 from flockopt.errors import SettingsError
 from flockopt.scene import Scene
+from flockopt.scene.frame import Frame
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
 
 __all__ = ["certify"]
 
 
-#: Curves that reach farther than this are not judged any further: rounding would decide.
+#: Curves that reach farther than this, seen from the scene's midst, are not judged any further: rounding would decide.
 LARGEST_COORDINATE_M = 1e6
 
 #: Clauses that fail without a closer look where a curve does.
@@ -52,13 +54,15 @@ def certify(
         raise SettingsError("engine", f"is {engine!r}", f"must be one of {', '.join(ENGINES)}", "choose one")
     check_names(scene, plan)
     proof = bound if bound is not None else plan.certificate.bound if plan.certificate is not None else None
+    frame = Frame.of(scene.bounds)
+    scene, plan = frame.near(scene), plan_into(frame, plan)
     case = JudgedCase(scene, plan, compute_travel(scene) if travel is None else travel, proof)
     judges = JUDGES | _in_space(engine)
     names = CLAUSES if not any(drone.has_abilities for drone in scene.drones) else (*CLAUSES, FLYABILITY)
     with np.errstate(over="ignore", invalid="ignore"):  # a hostile plan's overflows fail the clauses they are in
         wild = _wild_drone(case)
         clauses = (judges[name](case) if wild is None or name not in IN_SPACE else _wild(name, wild) for name in names)
-        return Certificate(tuple(clauses), proof)
+        return certificate_from(frame, Certificate(tuple(clauses), proof))
 
 
 def _wild_drone(case: JudgedCase) -> str | None:

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for
 from flockopt.errors import PlanError, SolverFailed
 from flockopt.records.arrays import FloatArray
 
@@ -138,7 +139,10 @@ def _cheapest_cover(routes: list[Route], offers: list[Offers], num_tasks: int) -
     return float(answer.mip_dual_bound)
 
 
-@njit(cache=True)
+@compiled_for(
+    FLOATS_1, FLOATS_2, FLOATS_1, FLOATS_2, FLOATS_1, INTEGERS_1, types.int64, types.float64, types.float64, types.int64,
+    types.int64,
+)  # fmt: skip
 def _list_routes(
     starts: FloatArray, between: FloatArray, ends: FloatArray, rests: FloatArray, prices: FloatArray,
     demands: NDArray[np.int64], capacity: int, most_cost: float, longest: float, most_routes: int, most_steps: int,

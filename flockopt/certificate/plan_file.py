@@ -73,7 +73,7 @@ class Plan:
         cost: What it costs.
         certificate: What the judge said of it, or None.
         timing: Seconds by stage.
-        reason: Why it is infeasible; empty otherwise.
+        reason: Why it is infeasible, or why tasks are left over; empty otherwise.
         episode_steps: In how many steps the planner made its allocation; None where all was allocated at once.
         settings: What steered it, by name: plain values (`flockopt.planning.settings.PlanSettings`, and what the planner adds).
     """

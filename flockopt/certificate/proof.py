@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
+from numba import types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for
 from flockopt.bundles import Bound
 from flockopt.certificate.optimum import Offers, least_travel
 from flockopt.errors import PlanError
@@ -117,7 +118,7 @@ def _neighbours(between: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int6
     return nearest, places
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_1, FLOATS_1, INTEGERS_1, types.int64, INTEGERS_2, INTEGERS_2)
 def _cheapest_rests(
     between: FloatArray, ends: FloatArray, prices: FloatArray, demands: NDArray[np.int64], most: int,
     nearest: NDArray[np.int64], places: NDArray[np.int64],

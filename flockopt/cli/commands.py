@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
-from collections.abc import Sequence
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +16,7 @@ from typing import TYPE_CHECKING
 from flockopt.batches.progress import StageLine
 from flockopt.cli import text
 from flockopt.errors import MissingExtra, PlanError, SceneError, SettingsError
+from flockopt.planning.entries import EVERYTHING, JUDGING, PLANNING, entries_of
 from flockopt.records import files
 from flockopt.records.status import Status
 from flockopt.scene import Scene
@@ -19,7 +24,13 @@ from flockopt.scene import Scene
 if TYPE_CHECKING:
     from flockopt.certificate import Plan
 
-__all__ = ["export", "generate", "plan", "show", "verify"]
+__all__ = ["compile_all", "export", "generate", "plan", "show", "verify"]
+
+#: Starts a process that compiles a share, see `flockopt.batches.compiling.serve`.
+COMPILE_A_SHARE = (sys.executable, "-P", "-m", "flockopt", "compile", "--share")
+
+#: New objects between two searches for garbage in such a process: numba makes many, and few are garbage.
+OBJECTS = 50_000
 
 
 def plan(options: argparse.Namespace) -> int:
@@ -35,7 +46,7 @@ def plan(options: argparse.Namespace) -> int:
         planner=options.planner, time_limit_s=options.time_limit, seed=options.seed, bound=options.bound,
         smoothing=options.smooth, tracking_margin_m=options.tracking_margin, paths=options.paths, backend=options.backend,
     )  # fmt: skip
-    with StageLine(quiet=options.quiet) as progress:
+    with StageLine(quiet=options.quiet) as progress, _compiling(progress, PLANNING):
         result = plan_scene(scene, settings, progress=progress)
         result.save(options.output)
         for path in options.show:
@@ -46,12 +57,46 @@ def plan(options: argparse.Namespace) -> int:
     return 0 if result.status == Status.CERTIFIED else 1
 
 
+def compile_all(options: argparse.Namespace) -> int:
+    """Compile everything that is not compiled yet."""
+    from flockopt.batches.compiling import functions_under, serve
+
+    if options.share:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
+        gc.set_threshold(OBJECTS)
+        serve(entries_of(EVERYTHING), sys.stdin, sys.stdout)
+        return 0
+    with StageLine(quiet=options.quiet) as progress, _compiling(progress, EVERYTHING):
+        entries = entries_of(EVERYTHING).values()
+        for entry in entries:
+            entry.compile()
+    if not options.quiet and not entries:
+        text.emit("nothing is compiled where NUMBA_DISABLE_JIT is set")
+    elif not options.quiet:
+        functions = set().union(*map(functions_under, entries))
+        text.emit(f"{len(functions)} functions are compiled for this machine")
+    return 0
+
+
+@contextmanager
+def _compiling(progress: StageLine, packages: Sequence[str]) -> Iterator[None]:
+    """Say what is compiled; where something in these packages is not, it all is, by as many processes as there are cores."""
+    from flockopt.batches.compiling import compiling
+
+    def tell(done: int, total: int) -> None:
+        progress.tell(f"compiling for this machine, once: {done} of {total}", done / total)
+
+    with compiling(lambda: entries_of(packages), COMPILE_A_SHARE, tell):
+        yield
+
+
 def verify(options: argparse.Namespace) -> int:
     """Check a plan against its scene: 0 when every clause holds, 1 when not."""
     scene, result = _load_scene(options.scene), _load_plan(options.plan)
     from flockopt.certificate.judge import certify
 
-    certificate = certify(scene, result, engine=options.engine)
+    with StageLine() as progress, _compiling(progress, JUDGING):
+        certificate = certify(scene, result, engine=options.engine)
     text.emit(text.certificate_report(certificate))
     return 0 if certificate.certified else 1
 

@@ -43,6 +43,15 @@ EXPORT_EXAMPLES = """examples:
   flockopt export plan.json --to crazyswarm2 -o fleet                          a CSV a drone, crazyflies.yaml
   flockopt export plan.json --to qgroundcontrol --scene scene.json -o fleet    a mission a drone"""
 
+COMPILE_EXAMPLES = """flockopt compiles its inner loops for the machine it runs on and keeps them where numba keeps such things:
+in NUMBA_CACHE_DIR, else beside the package, else in your cache directory. The first plan does so too, as far as it needs them;
+this does it beforehand, say while an image is built, by as many processes as there are cores. Where all is compiled, it ends
+within seconds.
+
+examples:
+  flockopt compile
+  NUMBA_CACHE_DIR=/opt/cache flockopt compile    and plan with the same NUMBA_CACHE_DIR"""
+
 
 class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one line, as all others of flockopt are."""
@@ -115,6 +124,11 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     export.add_argument("--scene", metavar="SCENE", help="the plan's scene; qgroundcontrol needs it, with its origin")
     export.add_argument("-o", "--output", required=True, metavar="DIR", help="a new or empty directory, or an earlier export")
+
+    summary = "compile what planning needs, once for a machine"
+    compile_all = _command(commands, "compile", summary, COMPILE_EXAMPLES, work.compile_all)
+    compile_all.add_argument("--quiet", action="store_true", help="print no progress and no count")
+    compile_all.add_argument("--share", action="store_true", help=argparse.SUPPRESS)  # one of the processes that do it
     return parser
 
 

@@ -55,8 +55,8 @@ def plan_report(scene: Scene, plan: Plan) -> str:
         parts.append(_cost_lines(plan))
     if plan.certificate is not None:
         parts.append(certificate_report(plan.certificate))
-    if plan.status == Status.INFEASIBLE:
-        parts.append(printable(f"infeasible: {plan.reason}"))
+    if plan.reason:
+        parts.append(printable(f"{plan.status}: {plan.reason}"))
     parts.append(printable(f"{scene.name}, planned in {plan.timing.get('total', 0.0):.2f} s by {plan.planner}"))
     return "\n\n".join(parts)
 

@@ -24,6 +24,9 @@ LIMIT_SHARE = 0.999
 #: Extra room kept from obstacles where the waypoints have it, metres.
 ROOM_RESERVE_M = 1e-3
 
+#: For small drones that is less: at most this share of what they keep from obstacles.
+ROOM_RESERVE_SHARE = 0.01
+
 #: Pieces a Crazyflie's trajectory memory holds; flights are made to fit it where that is possible.
 MOST_PIECES = 31
 
@@ -66,7 +69,7 @@ class Room:
         from flockopt.geometry.free_space import free_space
 
         need = drone.radius + scene.clearance
-        needs = need + np.clip(0.2 * (gaps - need), 0.0, ROOM_RESERVE_M)
+        needs = need + np.clip(0.2 * (gaps - need), 0.0, min(ROOM_RESERVE_M, ROOM_RESERVE_SHARE * need))
         return cls(
             space=free_space(table, needs, (scene.bounds.lower, scene.bounds.upper)),
             limits=LIMIT_SHARE * np.array([drone.max_speed, drone.flyable_acceleration, drone.max_jerk]),

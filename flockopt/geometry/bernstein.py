@@ -13,11 +13,12 @@ import math
 import numpy as np
 from numba import njit, types
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for, writable
 from flockopt.records.arrays import FloatArray
 
 __all__ = [
-    "control_points", "derivative", "extreme_coordinates", "extreme_norm", "halve", "largest_norm", "largest_value",
-    "least_margin", "piece_states", "squared_norm",
+    "control_points", "copy_piece", "derivative", "extreme_coordinates", "extreme_norm", "halve", "largest_norm",
+    "largest_value", "least_margin", "piece_states", "squared_norm",
 ]  # fmt: skip
 
 #: Degrees up to 7 in space, thus up to 14 in a squared norm; one row more than that costs nothing.
@@ -36,14 +37,8 @@ NARROWEST = 0.5**DEEPEST
 #: A search that has looked at this many intervals is lost in rounding errors; it ends with the bounds it has.
 MOST_INTERVALS = 200_000
 
-# Read-only views of contiguous arrays: writable ones convert to them, so that every function is compiled once.
-ARRAY_1 = types.Array(types.float64, 1, "C", readonly=True)
-ARRAY_2 = types.Array(types.float64, 2, "C", readonly=True)
-ARRAY_3 = types.Array(types.float64, 3, "C", readonly=True)
-VALUE_AND_TIME = types.UniTuple(types.float64, 2)
 
-
-@njit(types.Array(types.float64, 3, "C")(ARRAY_1, ARRAY_3, types.int64), cache=True)
+@compiled_for(FLOATS_1, FLOATS_3, types.int64)
 def control_points(breakpoints: FloatArray, coefficients: FloatArray, num_terms: int) -> FloatArray:
     """Bernstein control points of every piece of a curve.
 
@@ -73,7 +68,7 @@ def control_points(breakpoints: FloatArray, coefficients: FloatArray, num_terms:
     return result
 
 
-@njit(types.UniTuple(types.Array(types.float64, 3, "C"), 2)(ARRAY_1, ARRAY_3), cache=True)
+@compiled_for(FLOATS_1, FLOATS_3)
 def piece_states(breakpoints: FloatArray, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Position, velocity and acceleration where every piece begins and where it ends, each (K, 3, 3)."""
     num_pieces, _, num_terms = coefficients.shape
@@ -91,7 +86,7 @@ def piece_states(breakpoints: FloatArray, coefficients: FloatArray) -> tuple[Flo
     return firsts, lasts
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, types.float64, types.int64)
 def derivative(control: FloatArray, duration: float, order: int) -> FloatArray:
     """Control points (3, max(D - order, 1)) of a derivative of the piece (3, D), per second**order."""
     current = control.copy()
@@ -107,7 +102,7 @@ def derivative(control: FloatArray, duration: float, order: int) -> FloatArray:
     return current
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2)
 def squared_norm(control: FloatArray) -> FloatArray:
     """Control points (2 D - 1,) of the squared Euclidean norm of the piece (3, D)."""
     degree = control.shape[1] - 1
@@ -118,6 +113,14 @@ def squared_norm(control: FloatArray) -> FloatArray:
             product = control[0, i] * control[0, j] + control[1, i] * control[1, j] + control[2, i] * control[2, j]
             result[i + j] += BINOMIAL[degree, i] * BINOMIAL[degree, j] / BINOMIAL[2 * degree, i + j] * product
     return result
+
+
+@compiled_for(FLOATS_2, writable(FLOATS_2))
+def copy_piece(source: FloatArray, target: FloatArray) -> None:
+    """Copy control points (rows, D): a slice assigned to a slice takes numba ten times as long to compile."""
+    for row in range(source.shape[0]):
+        for i in range(source.shape[1]):
+            target[row, i] = source[row, i]
 
 
 @njit(cache=True)
@@ -133,7 +136,7 @@ def halve(control: FloatArray, left: FloatArray, right: FloatArray) -> None:
                 right[row, i] = 0.5 * (right[row, i] + right[row, i + 1])
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, types.float64, types.float64)
 def largest_value(control: FloatArray, known: float, small: float) -> tuple[float, float]:
     """Largest value on [0, 1] of a polynomial given by (D,) control points, if it is above ``known``.
 
@@ -148,7 +151,8 @@ def largest_value(control: FloatArray, known: float, small: float) -> tuple[floa
     stack = np.empty((DEEPEST + 2, 1, num_terms))
     spans = np.empty((DEEPEST + 2, 2))
     right = np.empty((1, num_terms))
-    stack[0, 0] = control
+    for i in range(num_terms):
+        stack[0, 0, i] = control[i]
     spans[0, 0], spans[0, 1] = 0.0, 1.0
     top, looked = 1, 0
     while top > 0:
@@ -167,10 +171,10 @@ def largest_value(control: FloatArray, known: float, small: float) -> tuple[floa
         halve(stack[top], stack[top], right)
         left_first = stack[top].max() > right.max()  # the more promising half is looked at first
         if left_first:
-            stack[top + 1] = stack[top]
-            stack[top] = right
+            copy_piece(stack[top], stack[top + 1])
+            copy_piece(right, stack[top])
         else:
-            stack[top + 1] = right
+            copy_piece(right, stack[top + 1])
         half = 0.5 * width
         spans[top, 0], spans[top + 1, 0] = (start + half, start) if left_first else (start, start + half)
         spans[top, 1] = spans[top + 1, 1] = half
@@ -178,7 +182,7 @@ def largest_value(control: FloatArray, known: float, small: float) -> tuple[floa
     return proven if proven > best else best, where
 
 
-@njit(VALUE_AND_TIME(ARRAY_1, ARRAY_3, types.int64), cache=True)
+@compiled_for(FLOATS_1, FLOATS_3, types.int64)
 def largest_norm(breakpoints: FloatArray, control: FloatArray, order: int) -> tuple[float, float]:
     """Largest Euclidean norm of a derivative over a whole curve, and the time of it.
 
@@ -199,7 +203,7 @@ def largest_norm(breakpoints: FloatArray, control: FloatArray, order: int) -> tu
     return math.sqrt(max(best, 0.0)), time
 
 
-@njit(types.Tuple((types.float64, types.float64, types.int64))(ARRAY_1, ARRAY_3, ARRAY_1, ARRAY_1), cache=True)
+@compiled_for(FLOATS_1, FLOATS_3, FLOATS_1, FLOATS_1)
 def least_margin(
     breakpoints: FloatArray, control: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[float, float, int]:

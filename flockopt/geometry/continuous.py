@@ -13,16 +13,8 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from flockopt.geometry.bernstein import (
-    ARRAY_1,
-    ARRAY_3,
-    BINOMIAL,
-    SMALL_SQUARE,
-    VALUE_AND_TIME,
-    control_points,
-    largest_value,
-    squared_norm,
-)
+from flockopt.batches.compiled import FLOATS_1, FLOATS_3, compiled_for
+from flockopt.geometry.bernstein import BINOMIAL, SMALL_SQUARE, control_points, copy_piece, largest_value, squared_norm
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.intervals import (
     box_gap,
@@ -43,8 +35,6 @@ __all__ = [
 #: Yes-or-no checks prove that a curve comes at most this much too near, and name only places that are at least
 #: half of it too near: between the two either answer is right, so that a curve which grazes is decided at once.
 GRAZING_M = 1e-7
-
-VALUE_TIME_INDEX = types.Tuple((types.float64, types.float64, types.int64))
 
 
 def parked(position: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -68,7 +58,7 @@ def _nearest_breakpoint(space: FreeSpace, breakpoints: FloatArray, control: Floa
     return best, time, nearest
 
 
-@njit(VALUE_TIME_INDEX(FREE_SPACE, ARRAY_1, ARRAY_3, types.float64), cache=True)
+@compiled_for(FREE_SPACE, FLOATS_1, FLOATS_3, types.float64)
 def least_clearance(
     space: FreeSpace, breakpoints: FloatArray, coefficients: FloatArray, tolerance: float
 ) -> tuple[float, float, int]:
@@ -104,7 +94,7 @@ def least_clearance(
     return min(best, proven), time, nearest
 
 
-@njit(types.int64(FREE_SPACE, ARRAY_1, ARRAY_3), cache=True)
+@compiled_for(FREE_SPACE, FLOATS_1, FLOATS_3)
 def curve_clear(space: FreeSpace, breakpoints: FloatArray, coefficients: FloatArray) -> int:
     """Index of the first piece that is too near to an obstacle (see `GRAZING_M`), or -1; arguments as in `least_clearance`."""
     num_terms = coefficients.shape[2]
@@ -124,7 +114,7 @@ def curve_clear(space: FreeSpace, breakpoints: FloatArray, coefficients: FloatAr
     return -1
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, FLOATS_3, types.float64, types.float64, FLOATS_1, types.int64)
 def _timed(
     breakpoints: FloatArray, coefficients: FloatArray, shift: float, stretch: float, axes: FloatArray, num_terms: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -186,7 +176,7 @@ def _restrict(piece: FloatArray, start: float, end: float, result: FloatArray) -
 def _part(times: FloatArray, control: FloatArray, k: int, start: float, end: float, result: FloatArray) -> None:
     """Fill ``result`` with piece ``k`` of a timed curve between two times within it."""
     if k == 0 or k == control.shape[0] - 1:
-        result[:] = control[k]
+        copy_piece(control[k], result)
     else:
         duration = times[k + 1] - times[k]
         # Rounding may carry the fractions over the piece's ends; nothing flies there.
@@ -194,7 +184,7 @@ def _part(times: FloatArray, control: FloatArray, k: int, start: float, end: flo
         _restrict(control[k], first, max(last, 1e-300), result)
 
 
-@njit(VALUE_AND_TIME(ARRAY_1, ARRAY_3, ARRAY_1, types.float64, types.float64), cache=True)
+@compiled_for(FLOATS_1, FLOATS_3, FLOATS_1, types.float64, types.float64)
 def farthest_from(
     breakpoints: FloatArray, coefficients: FloatArray, point: FloatArray, start: float, end: float
 ) -> tuple[float, float]:
@@ -209,13 +199,22 @@ def farthest_from(
         until = min(end, times[k + 1])
         _part(times, control, k, now, until, part)
         for axis in range(3):
-            part[axis] -= point[axis]
+            for i in range(num_terms):
+                part[axis, i] -= point[axis]
         square, where = largest_value(squared_norm(part), best, SMALL_SQUARE)
         if where >= 0.0:
             best, time = square, now + where * (until - now)
         if until >= end:
             return math.sqrt(max(best, 0.0)), time
         now = until
+
+
+@njit(cache=True)
+def _subtract(other: FloatArray, piece: FloatArray) -> None:
+    """Take control points (rows, D) off those of a piece."""
+    for row in range(piece.shape[0]):
+        for i in range(piece.shape[1]):
+            piece[row, i] -= other[row, i]
 
 
 @njit(cache=True)
@@ -267,18 +266,15 @@ def _nearest_moment(
     for w in range(len(moments)):
         _place(times_a, control_a, pieces[w, 0], moments[w], here)
         _place(times_b, control_b, pieces[w, 1], moments[w], there)
-        here -= there
+        _subtract(there, here)
         distance = end_norm(here, 0)
         if distance < best:
             best, time = distance, moments[w]
     return best, time
 
 
-@njit(
-    VALUE_AND_TIME(
-        ARRAY_1, ARRAY_3, ARRAY_1, ARRAY_3, ARRAY_1, types.float64, types.float64, types.float64, types.float64
-    ),
-    cache=True,
+@compiled_for(
+    FLOATS_1, FLOATS_3, FLOATS_1, FLOATS_3, FLOATS_1, types.float64, types.float64, types.float64, types.float64,
 )  # fmt: skip
 def least_separation(
     bp_a: FloatArray, co_a: FloatArray, bp_b: FloatArray, co_b: FloatArray, axes: FloatArray,
@@ -317,7 +313,7 @@ def least_separation(
         if box_gap(hulls_a[i], hulls_b[j]) < best:
             _part(times_a, control_a, i, now, until, stack[0])
             _part(times_b, control_b, j, now, until, other)
-            stack[0] -= other
+            _subtract(other, stack[0])
             best, where, bound = least_norm_below(best, tolerance / axes[0], stack, spans)
             proven = min(proven, bound)
             if where >= 0.0:
@@ -325,12 +321,9 @@ def least_separation(
     return (min(best, proven) - 1.0) * axes[0], time
 
 
-@njit(
-    types.float64(
-        ARRAY_1, ARRAY_3, types.float64, types.float64, ARRAY_1, ARRAY_3, types.float64, types.float64, ARRAY_1,
-        types.float64, types.float64,
-    ),
-    cache=True,
+@compiled_for(
+    FLOATS_1, FLOATS_3, types.float64, types.float64, FLOATS_1, FLOATS_3, types.float64, types.float64,
+    FLOATS_1, types.float64, types.float64,
 )  # fmt: skip
 def first_conflict(
     bp_a: FloatArray, co_a: FloatArray, shift_a: float, stretch_a: float,
@@ -356,7 +349,7 @@ def first_conflict(
         if box_gap(hulls_a[i], hulls_b[j]) < 1.0:
             _part(times_a, control_a, i, now, until, stack[0])
             _part(times_b, control_b, j, now, until, other)
-            stack[0] -= other
+            _subtract(other, stack[0])
             where = first_inside(until - now, GRAZING_M / axes[0], stack, spans)
             if where >= 0.0:
                 return now + where * (until - now)

@@ -10,9 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import njit
 from numpy.typing import ArrayLike
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for, record_of
 from flockopt.geometry.distances import BOX, HALF_X, HALF_Y, HALF_Z, SHAPE, SPHERE, X, bounding_boxes
 from flockopt.geometry.kernels import SEGMENT_TOLERANCE_M, segment_distance, segment_near_box
 from flockopt.records.arrays import FloatArray
@@ -32,7 +33,7 @@ class FreeSpace(NamedTuple):
 
 
 #: The record's type in compiled signatures.
-FREE_SPACE = types.NamedTuple([types.Array(types.float64, rank, "C") for rank in (2, 3, 1, 1, 1, 1)], FreeSpace)
+FREE_SPACE = record_of(FreeSpace, FLOATS_2, FLOATS_3, *[FLOATS_1] * 4)
 
 
 def free_space(table: ArrayLike, needs: ArrayLike, bounds: ArrayLike, boxes: ArrayLike | None = None) -> FreeSpace:
@@ -52,7 +53,7 @@ def free_space(table: ArrayLike, needs: ArrayLike, bounds: ArrayLike, boxes: Arr
     return FreeSpace(own, around, kept, footprint + kept, lower, upper)
 
 
-@njit(cache=True)
+@compiled_for(FREE_SPACE, FLOATS_1)
 def inside(space: FreeSpace, point: FloatArray) -> bool:
     """Whether a point (3,) m is within the bounds."""
     for axis in range(3):  # noqa: SIM110 - numba has no generators
@@ -76,7 +77,7 @@ def may_meet(space: FreeSpace, k: int, lower: FloatArray, upper: FloatArray) -> 
     return True
 
 
-@njit(cache=True)
+@compiled_for(FREE_SPACE, FLOATS_1, FLOATS_1)
 def segment_clear(space: FreeSpace, p: FloatArray, q: FloatArray) -> bool:
     """Whether the segment between two points (3,) m is as far from every obstacle as it must; bounds do not count."""
     for k in range(space.table.shape[0]):
@@ -94,11 +95,11 @@ def segment_free(space: FreeSpace, p: FloatArray, q: FloatArray) -> bool:
     return inside(space, p) and inside(space, q) and segment_clear(space, p, q)
 
 
-@njit(cache=True)
+@compiled_for(FREE_SPACE, FLOATS_2)
 def polyline_free(space: FreeSpace, points: FloatArray) -> bool:
     """Whether all of a polyline (V, 3) m is clear and within the bounds."""
-    for point in points:
-        if not inside(space, point):
+    for i in range(len(points)):
+        if not inside(space, points[i]):
             return False
     for i in range(len(points) - 1):  # noqa: SIM110 - numba has no generators
         if not segment_clear(space, points[i], points[i + 1]):

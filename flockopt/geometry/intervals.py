@@ -15,9 +15,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
-from flockopt.geometry.bernstein import DEEPEST, MOST_INTERVALS, NARROWEST, halve
+from flockopt.batches.compiled import FLOATS_2, compiled_for, writable
+from flockopt.geometry.bernstein import DEEPEST, MOST_INTERVALS, NARROWEST, copy_piece, halve
 from flockopt.geometry.kernels import point_distance, point_gradient
 from flockopt.records.arrays import FloatArray
 
@@ -70,7 +71,7 @@ def split(stack: FloatArray, spans: FloatArray, top: int) -> None:
     spans[top, 0], spans[top, 1] = spans[top, 0] + half, half
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, writable(FLOATS_2))
 def fit_box(piece: FloatArray, box: FloatArray) -> None:
     """Fill ``box`` (2, 3) with the bounding box of a piece's control points (3, D)."""
     for axis in range(3):
@@ -80,7 +81,7 @@ def fit_box(piece: FloatArray, box: FloatArray) -> None:
             box[1, axis] = max(box[1, axis], piece[axis, i])
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2)
 def box_gap(a: FloatArray, b: FloatArray) -> float:
     """Least distance between two boxes (2, 3), metres; -inf where they meet."""
     square, apart = 0.0, False
@@ -92,7 +93,7 @@ def box_gap(a: FloatArray, b: FloatArray) -> float:
     return math.sqrt(square) if apart else -np.inf
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, types.int64)
 def end_norm(node: FloatArray, end: int) -> float:
     """Distance from the origin of control point ``end`` of (3, D)."""
     x, y, z = node[0, end], node[1, end], node[2, end]
@@ -124,7 +125,7 @@ def least_clearance_below(
     """
     last = piece.shape[1] - 1
     where, proven = -1.0, np.inf
-    stack[0] = piece
+    copy_piece(piece, stack[0])
     spans[0, 0], spans[0, 1] = 0.0, 1.0
     top, looked = 1, 0
     while top > 0:

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for, types
 from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, X, Y, Z
 from flockopt.records.arrays import FloatArray
 
@@ -30,7 +31,7 @@ def _signed_prism(a: float, b: float, c: float) -> float:
     return outside + min(max(a, b, c), 0.0)
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, types.float64, types.float64, types.float64)
 def point_distance(row: FloatArray, x: float, y: float, z: float) -> float:
     """Signed distance, metres, of a point to the obstacle; negative inside."""
     dx, dy, dz = x - row[X], y - row[Y], z - row[Z]
@@ -55,7 +56,7 @@ def _prism_gradient(a: float, b: float, c: float) -> tuple[float, float, float]:
     return (0.0, 1.0, 0.0) if b >= c else (0.0, 0.0, 1.0)
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, types.float64, types.float64, types.float64)
 def point_gradient(row: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Gradient of `point_distance`: the outward direction; one of the subgradients where it has several."""
     dx, dy, dz = x - row[X], y - row[Y], z - row[Z]
@@ -78,13 +79,13 @@ def point_gradient(row: FloatArray, x: float, y: float, z: float) -> tuple[float
     return dx / norm, dy / norm, dz / norm
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, FLOATS_1)
 def segment_length(p: FloatArray, q: FloatArray) -> float:
     """Metres between two points."""
     return math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, FLOATS_1, FLOATS_1, types.float64, types.float64)
 def segment_distance(row: FloatArray, p: FloatArray, q: FloatArray, enough: float, too_little: float) -> float:
     """Least signed distance of the segment p-q to the obstacle.
 
@@ -150,7 +151,7 @@ def segment_near_box(box: FloatArray, reach: float, p: FloatArray, q: FloatArray
     return True
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2, FLOATS_2)
 def _segment_distances(table: FloatArray, starts: FloatArray, ends: FloatArray) -> FloatArray:
     """Least signed distance of every segment (P, 3)-(P, 3) to every obstacle, (P, K) m."""
     result = np.empty((starts.shape[0], table.shape[0]))

@@ -7,13 +7,14 @@ import math
 import numpy as np
 from numba import njit
 
+from flockopt.batches.compiled import FLOATS_2, compiled_for, types
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["polyline_length", "thinned"]
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, types.float64)
 def thinned(points: FloatArray, tolerance: float) -> FloatArray:
     """The polyline (V, 3) m without vertices closer than ``tolerance`` to it (Ramer 1972, Douglas and Peucker 1973).
 

@@ -148,7 +148,7 @@ def finish(
     clock = clock or Clock()
     draft = _draft(scene, planner, bundles)
     if bundles.status == Status.INFEASIBLE:
-        return replace(draft, status=Status.INFEASIBLE, reason=bundles.reason)
+        return replace(draft, status=Status.INFEASIBLE)
     for clearance_m, separation_m in margins(margin_m):
         roomier_scene, roomier_travel = scene, travel
         if clearance_m > 0.0 or separation_m > 0.0:
@@ -185,6 +185,7 @@ def _draft(scene: Scene, planner: str, bundles: Bundles) -> Plan:
         status=Status.UNCERTIFIED,
         routes={drone.id: tuple(names[task] for task in route) for drone, route in zip(scene.drones, bundles, strict=True)},
         unserved={names[task]: reason for task, reason in bundles.unserved},
+        reason=bundles.reason,
         flights={},
         cost=Cost(length=0.0, travel=0.0, lower_bound=None, gap=None, makespan=0.0),
     )

@@ -24,6 +24,7 @@ from flockopt.geometry.distances import distances
 from flockopt.geometry.kernels import segment_distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Bounds, Box, Cylinder, Obstacle, Scene
+from flockopt.scene.apart import least_resting_share
 from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
 from flockopt.travel.travel import stops_of
@@ -93,6 +94,7 @@ def _farther_apart(scene: Scene, separation_m: float) -> Scene:
     axes = scene.widest_axes
     scaled = scene.starts / axes
     least = min(float(np.linalg.norm(scaled[:i] - scaled[i], axis=1).min()) for i in range(1, len(scaled)))
+    least = min(least, least_resting_share(scene))
     factor = 1.0 + min(separation_m / float(axes.min()), ROOM_SHARE * max(least - 1.0, 0.0))
     tall = None if scene.separation_z is None else factor * scene.separation_z
     return scene if factor == 1.0 else scene.replace(separation=factor * float(axes[0]), separation_z=tall)

@@ -9,12 +9,16 @@ from flockopt.bundles import Bound
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.certificate import Plan
 from flockopt.flights.smoothing.casadi_program import load_casadi
-from flockopt.planning.finish import Clock, DecodedFlights, Reporter, finish
-from flockopt.planning.planners import Proposal, Request, find_planner
+from flockopt.planning.feasibility import grounded_in_the_way
+from flockopt.planning.finish import Clock, DecodedFlights, GivenFlights, Reporter, finish
+from flockopt.planning.planners import Planner, Proposal, Request, find_planner
 from flockopt.planning.settings import PlanSettings
+from flockopt.planning.workplace import Workplace
 from flockopt.records.status import Status
 from flockopt.scene import Scene
+from flockopt.travel import Travel
 from flockopt.travel.compute import compute_travel
+from flockopt.travel.travel import straight_travel
 
 __all__ = ["plan"]
 
@@ -51,8 +55,22 @@ def plan(scene: Scene, settings: PlanSettings | None = None, *, progress: Report
     if settings.smoothing:
         load_casadi()
     clock = Clock(progress)
+    workplace = Workplace.of(scene)
+    hopeless = grounded_in_the_way(workplace.scene)
+    if hopeless is not None:
+        result = finish(workplace.scene, straight_travel(workplace.scene), hopeless, GivenFlights(), planner=planner.name)
+        return replace(workplace.handed_back(result, scene), settings=settings.to_dict(), timing=clock.timing())
     with clock.stage("travel", 0.0):
-        travel = compute_travel(scene)
+        travel = compute_travel(workplace.scene)
+    result = _planned(workplace.scene, travel, planner, settings, clock)
+    if not workplace.is_asked:
+        with clock.stage("certify", 0.98):
+            result = workplace.handed_back(result, scene, travel)
+    return replace(result, timing=clock.timing())
+
+
+def _planned(scene: Scene, travel: Travel, planner: Planner, settings: PlanSettings, clock: Clock) -> Plan:
+    """What a planner proposes made a plan; where that is not certified, what another one does."""
     with clock.stage("allocate", 0.1):
         limit_s = settings.time_limit_s
         left_s = None if limit_s is None else max(ALLOCATION_SHARE * (limit_s - clock.total), LEAST_ALLOCATION_S)
@@ -65,7 +83,7 @@ def plan(scene: Scene, settings: PlanSettings | None = None, *, progress: Report
         with clock.stage("fallback", 0.95):
             other = _finished(request, planner.name, proposal.otherwise.propose(request), settings, Clock())
         result = other if other.status == Status.CERTIFIED else result
-    return replace(result, timing=clock.timing())
+    return result
 
 
 def _finished(request: Request, planner: str, proposal: Proposal, settings: PlanSettings, clock: Clock) -> Plan:

@@ -149,7 +149,7 @@ def _prove(request: Request) -> Proposal:
     from flockopt.certificate.proof import recompute_bound
 
     result = solve_exact(request.scene, request.travel, time_limit_s=request.time_limit_s, seed=request.seed)
-    if result.status == Status.INFEASIBLE:
+    if result.status in (Status.INCOMPLETE, Status.INFEASIBLE):
         return Proposal(result.bundles)
     bound = result.bound
     if result.status == Status.OPTIMAL:

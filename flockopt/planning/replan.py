@@ -21,6 +21,7 @@ from flockopt.bundles import Bundles
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.bundles.refine import refine_bundles
 from flockopt.certificate import Plan
+from flockopt.certificate.placement import flights_into
 from flockopt.errors import SceneError, SettingsError
 from flockopt.flights import Flight
 from flockopt.flights.apart.deconflict import Deconflicted
@@ -29,6 +30,7 @@ from flockopt.flights.waypoints import SAME_POINT_M, Waypoints, waypoints_from_p
 from flockopt.planning.finish import Clock, finish
 from flockopt.planning.handover import Changes, Situation, hand_over
 from flockopt.planning.settings import PlanSettings
+from flockopt.planning.workplace import Workplace
 from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -114,12 +116,16 @@ def replan(
     if handed_over is None:
         return Replanned(scene, replace(plan, status=Status.UNCERTIFIED), now_s, {}, "none", perf_counter() - began)
     situation, swap_s = handed_over
+    workplace = Workplace.of(situation.scene)
+    situation = replace(situation, scene=workplace.scene, flights=flights_into(workplace.frame, situation.flights))
     hovering = {*airborne, *plan.flights}
     travel = compute_travel(situation.scene)
     for strategy, bundles in _proposals(situation, travel, settings.seed):
         left, result, unserved = _finished(situation, travel, bundles, strategy, settings.tracking_margin_m, hovering)
         if result.status == Status.CERTIFIED:
             break
+    left = workplace.asked_about(left)
+    result = workplace.handed_back(result, left)
     return Replanned(left, result, swap_s, situation.unreachable | unserved, strategy, perf_counter() - began)
 
 

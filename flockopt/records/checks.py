@@ -30,10 +30,18 @@ def shown(value: object) -> str:
 
 
 def number(
-    error: Error, field: str, value: Any, *, above: float | None = None, least: float | None = None, mend: str = ""
+    error: Error,
+    field: str,
+    value: Any,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    mend: str = "",
 ) -> float:
-    """A finite number, greater than ``above`` or at least ``least`` where these are given."""
-    bound = f" > {above:g}" if above is not None else f" >= {least:g}" if least is not None else ""
+    """A finite number, greater than ``above``, at least ``least`` and at most ``most`` where these are given."""
+    limits = ((" > ", above), (" >= ", least), (" <= ", most))
+    bound = " and".join(f"{sign}{limit:g}" for sign, limit in limits if limit is not None)
     rule = f"must be a finite number{bound}"
     if isinstance(value, bool) or not (isinstance(value, (int, float)) or _is_numpy_scalar(value)):
         raise error(field, f"is {shown(value)}", rule, mend or "give a number")
@@ -42,7 +50,7 @@ def number(
     except OverflowError:
         result = math.inf
     low = (above is not None and not result > above) or (least is not None and not result >= least)
-    if not math.isfinite(result) or low:
+    if not math.isfinite(result) or low or (most is not None and result > most):
         raise error(field, f"is {shown(value)}", rule, mend or f"give a finite number{bound}")
     return result
 
@@ -51,13 +59,15 @@ def _is_numpy_scalar(value: Any) -> bool:
     return getattr(value, "shape", None) == () and getattr(getattr(value, "dtype", None), "kind", "") in "iuf"
 
 
-def integer(error: Error, field: str, value: Any, *, least: int, mend: str = "") -> int:
-    """A whole number, at least ``least``; 3.0 is one, 3.5 and true are not."""
-    rule = f"must be an integer >= {least}"
-    result = number(error, field, value, mend=mend or rule)
-    if result != int(result) or result < least:
-        raise error(field, f"is {shown(value)}", rule, mend or f"give a whole number >= {least}")
-    return int(result)
+def integer(error: Error, field: str, value: Any, *, least: int, most: int | None = None, mend: str = "") -> int:
+    """A whole number, at least ``least`` and at most ``most`` if that is given; 3.0 is one, 3.5 and true are not."""
+    bound = f" >= {least}" if most is None else f" from {least} to {most}"
+    rule = f"must be an integer{bound}"
+    number(error, field, value, mend=mend or rule)
+    result = int(value)  # of the value itself: its float may be another whole number
+    if result != value or result < least or (most is not None and result > most):
+        raise error(field, f"is {shown(value)}", rule, mend or f"give a whole number{bound}")
+    return result
 
 
 def share(error: Error, field: str, value: Any) -> float:

@@ -14,9 +14,12 @@ __all__ = ["check_output", "parse_json", "read_json", "write_whole"]
 
 Error = type[FieldError]
 
+#: What some editors write before UTF-8 text, as one character.
+BYTE_ORDER_MARK = "\ufeff"
+
 
 def parse_json(error: Error, content: str, source: str) -> Any:
-    """JSON with no repeated keys; ``source`` names the file in messages."""
+    """JSON with no repeated keys; ``source`` names the file in messages. A byte-order mark is no fault."""
 
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
         record = dict(items)
@@ -26,7 +29,7 @@ def parse_json(error: Error, content: str, source: str) -> Any:
         return record
 
     try:
-        return json.loads(content, object_pairs_hook=pairs)
+        return json.loads(content.removeprefix(BYTE_ORDER_MARK), object_pairs_hook=pairs)
     except (ValueError, RecursionError) as fault:
         raise error("", f"{source} is not JSON ({fault})", "the file must be one JSON object", "correct it there") from None
 

@@ -22,6 +22,10 @@ class Status(StrEnum):
 
     OPTIMAL = "optimal", "no allocation travels less, and that is proven", ""
     FEASIBLE = "feasible", "every task is allocated; nothing is proven of the travel", ""
+    INCOMPLETE = (
+        "incomplete", "some task is left over, though nothing proves that it must be",
+        "give it more time or try the planner exact",
+    )  # fmt: skip
     INFEASIBLE = "infeasible", "some task cannot be served", "read the reason; add capacity, range or room, or drop the task"
     CERTIFIED = "certified", "every clause of the certificate holds", ""
     UNCERTIFIED = (
@@ -37,5 +41,5 @@ class Status(StrEnum):
 
 
 #: What bundles may be, and what a plan may be.
-BUNDLE_STATUSES = (Status.FEASIBLE, Status.OPTIMAL, Status.INFEASIBLE)
+BUNDLE_STATUSES = (Status.FEASIBLE, Status.OPTIMAL, Status.INCOMPLETE, Status.INFEASIBLE)
 PLAN_STATUSES = (Status.CERTIFIED, Status.UNCERTIFIED, Status.INFEASIBLE)

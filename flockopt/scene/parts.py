@@ -13,6 +13,8 @@ from flockopt.errors import SceneError
 from flockopt.geometry.distances import BOX, CYLINDER, OBSTACLE_COLUMNS, SPHERE
 from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
+from flockopt.scene import quantities
+from flockopt.scene.quantities import LARGEST_SIDE_M
 
 __all__ = [
     "GRAVITY_MPS2", "LATER_DRONE_KEYS", "SHAPES", "Bounds", "Box", "Cylinder", "Drone", "Obstacle", "Origin", "Point", "Sphere",
@@ -21,6 +23,9 @@ __all__ = [
 
 #: Standard gravity.
 GRAVITY_MPS2 = 9.80665
+
+#: No scene lies higher above the sea than this, or deeper below it.
+HIGHEST_M = 1e5
 
 #: Keys younger than the format: scenes that do not use them keep the canonical form, and the digest, they always had.
 LATER_DRONE_KEYS = ("mass", "max_thrust", "max_tilt")
@@ -36,10 +41,13 @@ class Bounds:
     upper: Point
 
     def __post_init__(self) -> None:
-        checks.store(self, checks.point, SceneError, "lower", "upper")
+        checks.store(self, quantities.place, SceneError, "lower", "upper")
         for axis, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
             if not high > low:
                 raise SceneError(f"upper[{axis}]", f"is {high:g}", f"must be > lower[{axis}] = {low:g}", "swap or widen them")
+            if high - low > LARGEST_SIDE_M:
+                rule = f"must be at most {LARGEST_SIDE_M:g} m from lower[{axis}] = {low:g}"
+                raise SceneError(f"upper[{axis}]", f"is {high:g}", rule, "narrow the bounds to where drones fly")
 
 
 @dataclass(frozen=True)
@@ -69,24 +77,26 @@ class Drone:
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
         mend = "capacities are integers >= 0; set 0 to ground the drone"
-        checks.store(self, checks.point, SceneError, "start", "velocity", "acceleration")
-        checks.store(self, checks.integer, SceneError, "capacity", least=0, mend=mend)
-        checks.store(self, checks.number, SceneError, "radius", "max_speed", "max_acceleration", "max_jerk", above=0.0)
+        checks.store(self, quantities.place, SceneError, "start")
+        checks.store(self, checks.point, SceneError, "velocity", "acceleration")
+        checks.store(self, quantities.load, SceneError, "capacity", least=0, mend=mend)
+        checks.store(self, quantities.measure, SceneError, "radius", "max_speed", "max_acceleration", "max_jerk")
         if self.max_distance is not None:
-            checks.store(self, checks.number, SceneError, "max_distance", above=0.0)
+            checks.store(self, quantities.positive, SceneError, "max_distance")
         if isinstance(self.end, str) and self.end != "start":
             raise SceneError("end", f"is {checks.shown(self.end)}", 'must be a point, "start" or null', "name a point")
         if self.end is not None and self.end != "start":
-            checks.store(self, checks.point, SceneError, "end")
+            checks.store(self, quantities.place, SceneError, "end")
         self._check_abilities()
         self._check_state("velocity", self.max_speed, "max_speed")
         self._check_state("acceleration", self.max_acceleration, "max_acceleration")
 
     def _check_abilities(self) -> None:
         given = [name for name in LATER_DRONE_KEYS if getattr(self, name) is not None]
-        checks.store(self, checks.number, SceneError, *given, above=0.0)
+        checks.store(self, quantities.positive, SceneError, *given)
         if self.max_tilt is not None and not self.max_tilt < math.pi / 2:
-            raise SceneError("max_tilt", f"is {self.max_tilt:g}", "must be < pi / 2 radians", "give it in radians, or null")
+            mend = "give it in radians, or null; did you mean degrees?"
+            raise SceneError("max_tilt", f"is {self.max_tilt:g}", "must be < pi / 2 radians", mend)
         if self.max_thrust is not None and self.mass is None:
             raise SceneError("mass", "is missing", "max_thrust means nothing without it", "give the mass, or no max_thrust")
         if self.max_thrust is not None and self.mass is not None and not self.max_thrust > self.mass * GRAVITY_MPS2:
@@ -136,7 +146,9 @@ class Origin:
     heading: float = 0.0
 
     def __post_init__(self) -> None:
-        checks.store(self, checks.number, SceneError, "latitude", "longitude", "altitude", "heading")
+        checks.store(self, checks.number, SceneError, "latitude", "longitude", "altitude")
+        checks.store(self, quantities.angle, SceneError, "heading")
+        checks.number(SceneError, "altitude", abs(self.altitude), most=HIGHEST_M, mend="give it in metres above mean sea level")
         for field, most in (("latitude", 90.0), ("longitude", 180.0)):
             value = getattr(self, field)
             if abs(value) > most:
@@ -154,9 +166,9 @@ class Task:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
-        checks.store(self, checks.point, SceneError, "position")
-        checks.store(self, checks.integer, SceneError, "demand", least=1)
-        checks.store(self, checks.number, SceneError, "service_time", least=0.0)
+        checks.store(self, quantities.place, SceneError, "position")
+        checks.store(self, quantities.load, SceneError, "demand", least=1)
+        checks.store(self, quantities.seconds, SceneError, "service_time")
 
 
 @dataclass(frozen=True)
@@ -171,11 +183,12 @@ class Box:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
-        checks.store(self, checks.point, SceneError, "center", "size")
-        checks.store(self, checks.number, SceneError, "yaw")
+        checks.store(self, quantities.place, SceneError, "center")
+        checks.store(self, checks.point, SceneError, "size")
+        checks.store(self, quantities.angle, SceneError, "yaw")
         for axis in range(3):
             mend = "remove the obstacle or give it a size"
-            checks.number(SceneError, f"size[{axis}]", self.size[axis], above=0.0, mend=mend)
+            quantities.positive(SceneError, f"size[{axis}]", self.size[axis], mend=mend)
 
     def row(self) -> tuple[float, ...]:
         """Its row in an obstacle table (`flockopt.geometry.distances.OBSTACLE_COLUMNS`)."""
@@ -194,8 +207,8 @@ class Cylinder:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
-        checks.store(self, checks.point, SceneError, "center")
-        checks.store(self, checks.number, SceneError, "radius", "height", above=0.0)
+        checks.store(self, quantities.place, SceneError, "center")
+        checks.store(self, quantities.positive, SceneError, "radius", "height")
 
     def row(self) -> tuple[float, ...]:
         """Its row in an obstacle table (`flockopt.geometry.distances.OBSTACLE_COLUMNS`)."""
@@ -213,8 +226,8 @@ class Sphere:
 
     def __post_init__(self) -> None:
         checks.text(SceneError, "id", self.id)
-        checks.store(self, checks.point, SceneError, "center")
-        checks.store(self, checks.number, SceneError, "radius", above=0.0)
+        checks.store(self, quantities.place, SceneError, "center")
+        checks.store(self, quantities.positive, SceneError, "radius")
 
     def row(self) -> tuple[float, ...]:
         """Its row in an obstacle table (`flockopt.geometry.distances.OBSTACLE_COLUMNS`)."""

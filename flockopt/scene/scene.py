@@ -22,6 +22,8 @@ from flockopt.errors import SceneError
 from flockopt.geometry.distances import bounding_boxes, distances
 from flockopt.records import checks, files
 from flockopt.records.arrays import FloatArray
+from flockopt.scene import quantities
+from flockopt.scene.apart import check_ends_apart
 from flockopt.scene.parts import (
     GRAVITY_MPS2,
     LATER_DRONE_KEYS,
@@ -76,11 +78,11 @@ class Scene:
         checks.text(SceneError, "name", self.name)
         for field in ("drones", "tasks", "obstacles"):
             object.__setattr__(self, field, tuple(getattr(self, field)))
-        checks.store(self, checks.number, SceneError, "clearance", "separation", least=0.0)
+        checks.store(self, quantities.width, SceneError, "clearance", "separation")
         if not self.drones:
             raise SceneError("drones", "is empty", "a fleet has at least one drone", "add a drone")
         if self.separation_z is not None:
-            checks.store(self, checks.number, SceneError, "separation_z", above=0.0)
+            checks.store(self, quantities.measure, SceneError, "separation_z")
             if self.separation == 0.0:
                 raise SceneError("separation", "is 0", "must be > 0 where separation_z is given", "give both or neither")
             bodies = sum(sorted(drone.radius for drone in self.drones)[-2:])
@@ -89,9 +91,14 @@ class Scene:
                 raise SceneError("separation_z", f"is {self.separation_z:g}", rule, "raise it, or leave it out")
         for field in ("drones", "tasks", "obstacles"):
             checks.unique(SceneError, field, [record.id for record in getattr(self, field)])
-        with np.errstate(over="ignore", invalid="ignore"):  # what is 1e300 m away is far, and no reason for a warning
-            self._check_places()
-            self._check_starts_apart()
+        for kind, field, records in (("tasks", "demand", self.tasks), ("drones", "capacity", self.drones)):
+            total = sum(getattr(record, field) for record in records)
+            if total > quantities.MOST_DEMAND:
+                rule = f"all {field} together must be <= 2**53 = {quantities.MOST_DEMAND}, to be added exactly"
+                raise SceneError(kind, f"have a {field} of {total} in all", rule, "count in larger units")
+        self._check_places()
+        self._check_starts_apart()
+        check_ends_apart(self)
 
     # -- arrays, made once and read-only --------------------------------------------------------------------
 

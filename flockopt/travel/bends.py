@@ -10,10 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for, record_of
 from flockopt.geometry.distances import HALF_X, SHAPE, SPHERE, X
-from flockopt.geometry.free_space import FreeSpace, inside, may_meet
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, inside, may_meet
 from flockopt.geometry.kernels import point_distance, point_gradient, segment_length
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.edges import ENDS_BEND, FIRST, FROM, OWNER, SECOND, TO, feature_edges, room_for_row
@@ -48,6 +49,10 @@ class Features(NamedTuple):
     along: FloatArray  # (F, 3) unit direction of the edge; zero on a sphere
     slack: FloatArray  # (F,) see EDGE_SLACK
     bend: float  # how far, as a sine, a bend may turn away from the obstacle it is around
+
+
+#: The same as compiled code knows it.
+FEATURES = record_of(Features, *[FLOATS_2] * 4, FLOATS_1, types.float64)
 
 
 def make_features(space: FreeSpace) -> Features:
@@ -122,7 +127,7 @@ def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float
     return enter, leave
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FREE_SPACE, FLOATS_2, types.float64, error_model="numpy")
 def _sample(space: FreeSpace, edges: FloatArray, spacing: float) -> FloatArray:
     """Features on the free stretches of the edges and around spheres, (F, 13), a row each: see `POSITION`."""
     rows, count = np.empty((4 * edges.shape[0] + 32, NUM_FEATURE_COLUMNS)), 0
@@ -151,7 +156,7 @@ def _fill_blocked(space: FreeSpace, edge: FloatArray, blocked: FloatArray) -> No
             if enter <= leave:
                 place = num_blocked
                 while place > 0 and blocked[place - 1, 0] > enter:
-                    blocked[place] = blocked[place - 1]
+                    blocked[place, 0], blocked[place, 1] = blocked[place - 1, 0], blocked[place - 1, 1]
                     place -= 1
                 blocked[place, 0], blocked[place, 1] = enter, leave
                 num_blocked += 1

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_2, compiled_for
 from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, X, Y, Z
-from flockopt.geometry.free_space import FreeSpace
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.kernels import SEGMENT_TOLERANCE_M, segment_distance
 from flockopt.records.arrays import FloatArray
 
@@ -23,7 +24,7 @@ __all__ = ["blocked_pairs", "blocker", "too_near"]
 RIM_STEPS = 14
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FREE_SPACE, FLOATS_1, FLOATS_1, types.int64, error_model="numpy")
 def blocker(space: FreeSpace, p: FloatArray, q: FloatArray, guess: int) -> int:
     """An obstacle that the segment p-q comes too near to, or -1; ``guess`` (or -1) is tried first."""
     table, needs, reach = space.table, space.needs, space.reach
@@ -50,7 +51,7 @@ def blocker(space: FreeSpace, p: FloatArray, q: FloatArray, guess: int) -> int:
     return -1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FREE_SPACE, FLOATS_2, INTEGERS_2, error_model="numpy")
 def blocked_pairs(space: FreeSpace, points: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether the straight flights between pairs (L, 2) of points (P, 3) come too near to some obstacle, (L,)."""
     blocked = np.zeros(pairs.shape[0], dtype=np.bool_)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from flockopt.geometry.distances import distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
+from flockopt.scene.merging import with_merged_obstacles
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 from flockopt.travel.travel import Paths, Travel, places, straight_travel
 
@@ -20,12 +21,19 @@ __all__ = ["compute_travel", "roomy_needs"]
 #: metres: what lets smooth curves follow them.
 MOST_MARGIN_M = 5e-3
 
+#: For small drones that is less: at most this share of what they keep from obstacles.
+MARGIN_SHARE = 0.05
+
+#: Shares of that margin with which a way is looked for where the whole of it closes one: down to none.
+SMALLER_MARGINS = (0.2, 0.02, 0.0)
+
 
 def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = None) -> Travel:
     """Shortest any-angle distances and paths that keep clear of obstacles and within bounds.
 
     Each obstacle is kept at ``radius + clearance`` and a margin of up to `MOST_MARGIN_M`, less where a start, an
-    end or a task is nearer than that. A task too near an obstacle for a class of drones has no way for them.
+    end or a task is nearer than that, and where it closes the only way. A task too near an obstacle for a class of
+    drones has no way for them.
 
     Args:
         scene: The scene.
@@ -34,6 +42,7 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
     """
     if not scene.obstacles:
         return straight_travel(scene)
+    scene = with_merged_obstacles(scene)
     radii, drone_class = np.unique(scene.radii, return_inverse=True)
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
     travel = Travel(
@@ -61,15 +70,18 @@ def _pairs_on(scene: Scene, routes: Sequence[Sequence[int]]) -> NDArray[np.bool_
     return wanted
 
 
-def roomy_needs(gaps: FloatArray, need: float) -> FloatArray:
+def roomy_needs(gaps: FloatArray, need: float, share: float = 1.0) -> FloatArray:
     """How far paths keep from each obstacle, (K,) m: ``need`` and a margin that leaves room at all places.
 
     Args:
         gaps: (P, K) m between the places to reach and the obstacles.
         need: What must be kept, metres.
+        share: Of the margin, what is to be kept too.
     """
     least_slack = (gaps - need).min(axis=0)  # (K,)
-    margins = np.where(least_slack > 0.0, np.minimum(0.5 * least_slack, MOST_MARGIN_M), least_slack)
+    margins = np.where(
+        least_slack > 0.0, share * np.minimum(0.5 * least_slack, min(MOST_MARGIN_M, MARGIN_SHARE * need)), least_slack
+    )
     needs: FloatArray = need + margins
     return needs
 
@@ -87,7 +99,7 @@ def _fill_class(
 
     Pairs of places that ``only`` (P, P) does not hold, if it is given, are left out.
     """
-    from flockopt.travel.roadmap import Roadmap
+    from flockopt.travel.roadmap import Legs, Roadmap
 
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
     need = radius + scene.clearance
@@ -95,8 +107,11 @@ def _fill_class(
     bound = np.isfinite(scene.ends[drones, 0])
     tasks = np.flatnonzero(gaps[:num_tasks].min(axis=1) >= need - POSITION_TOLERANCE_M)
     active = np.concatenate([tasks, num_tasks + drones, num_tasks + num_drones + drones[bound]])
-    needs = roomy_needs(gaps[active], need)
-    roadmap = Roadmap(scene.obstacle_table, needs, (scene.bounds.lower, scene.bounds.upper))
+
+    def legs_with(share: float, wanted: NDArray[np.bool_]) -> Legs:
+        needs = roomy_needs(gaps[active], need, share)
+        roadmap = Roadmap(scene.obstacle_table, needs, (scene.bounds.lower, scene.bounds.upper))
+        return roadmap.legs(points[active], wanted)
 
     wanted = np.zeros((len(active), len(active)), dtype=np.bool_)
     wanted[: len(tasks)] = True
@@ -105,7 +120,12 @@ def _fill_class(
     wanted[starts, ends] = True
     if only is not None:
         wanted &= only[np.ix_(active, active)]
-    legs = roadmap.legs(points[active], wanted)
+    legs = legs_with(1.0, wanted)
+    for share in SMALLER_MARGINS:
+        closed = wanted & np.isinf(legs.lengths)
+        if not closed.any():
+            break
+        legs = legs.with_more(legs_with(share, closed))
 
     travel.task_task[index][np.ix_(tasks, tasks)] = legs.lengths[: len(tasks), : len(tasks)]
     np.fill_diagonal(travel.task_task[index], 0.0)

@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
+from flockopt.batches.compiled import FLOATS_2, compiled_for, writable
 from flockopt.geometry.distances import BOX, COS_YAW, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, SPHERE, X, Y, Z
-from flockopt.geometry.free_space import FreeSpace
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.kernels import point_distance, point_gradient
 from flockopt.records.arrays import FloatArray
 
@@ -41,7 +42,7 @@ def feature_edges(space: FreeSpace) -> FloatArray:
     return np.concatenate([_prism_edges(space), _gap_edges(space)])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(writable(FLOATS_2), types.int64, error_model="numpy")
 def room_for_row(rows: FloatArray, count: int) -> FloatArray:
     """Room for one more row."""
     if count < rows.shape[0]:
@@ -72,7 +73,7 @@ def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: Float
         corners[side, 1] = row[Y] + (support[after] * a - support[side] * c) / cross
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FREE_SPACE, error_model="numpy")
 def _prism_edges(space: FreeSpace) -> FloatArray:
     """Edges of the prisms that enclose the grown boxes and cylinders, (E, 14)."""
     table, needs = space.table, space.needs
@@ -109,7 +110,7 @@ def _prism_edges(space: FreeSpace) -> FloatArray:
     return edges[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FREE_SPACE, error_model="numpy")
 def _gap_edges(space: FreeSpace) -> FloatArray:
     """Upright lines through gaps narrower than the corners around them stand out, (E, 14); any bend is good there."""
     table, needs, reach = space.table, space.needs, space.reach

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_2, INTEGERS_2, compiled_for
 from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.shortening import shorten
@@ -33,6 +33,21 @@ class Legs:
     pairs: NDArray[np.int64]
     offsets: NDArray[np.int64]
     bends: FloatArray
+
+    def with_more(self, more: Legs) -> Legs:
+        """These legs, and others between pairs that have none here."""
+        if not np.isfinite(more.lengths[np.isinf(self.lengths)]).any():
+            return self
+        pairs = np.concatenate([self.pairs, more.pairs])
+        order = np.lexsort((pairs[:, 1], pairs[:, 0]))
+        bends = [part for legs in (self, more) for part in np.split(legs.bends, legs.offsets[1:-1])[: len(legs.pairs)]]
+        sizes = [len(bends[leg]) for leg in order]
+        return Legs(
+            np.minimum(self.lengths, more.lengths),
+            pairs[order],
+            np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]),
+            np.concatenate([np.empty((0, 3)), *(bends[leg] for leg in order)]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +110,7 @@ def join(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray
     return merge(drawn, draw(space, points, joined, lengths))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FLOATS_2, INTEGERS_2, error_model="numpy")
 def _shorter_through(lengths: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     """The third point through which each pair's way is shortest, (L,), -1 where no third point makes it shorter."""
     through = np.full(pairs.shape[0], -1, dtype=np.int64)

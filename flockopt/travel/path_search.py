@@ -74,7 +74,7 @@ def within_ellipse(
     if size < 0:
         return np.inf, -1
     features, seen, num_obstacles, best = view.features, view.seen, view.space.table.shape[0], bound
-    last = guess = -1
+    last, guess = -1, np.int64(-1)
     for _ in range(MOST_SETTLED):
         key = best
         nearest = -1

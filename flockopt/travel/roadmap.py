@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import types
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
-from flockopt.geometry.free_space import FreeSpace, free_space
+from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for, writable
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, free_space
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.bends import Features, make_features, unrestricted
+from flockopt.travel.bends import FEATURES, Features, make_features, unrestricted
 from flockopt.travel.blocking import blocked_pairs
 from flockopt.travel.legs import Drawn, Legs, draw, join, merge, pack
 from flockopt.travel.path_search import shortest, within_ellipse
-from flockopt.travel.sight import Sight, View, empty_sight
+from flockopt.travel.sight import SIGHT, Sight, View, empty_sight
 
 __all__ = ["Legs", "Roadmap"]
 
@@ -53,7 +54,7 @@ class Roadmap:
     def legs(self, points: FloatArray, wanted: NDArray[np.bool_]) -> Legs:
         """Paths between all pairs i < j of ``points`` (P, 3) with ``wanted[i, j]`` (P, P)."""
         points = np.ascontiguousarray(points, dtype=np.float64)
-        pairs = np.argwhere(np.triu(wanted, 1))
+        pairs = np.ascontiguousarray(np.argwhere(np.triu(wanted, 1)))
         first, second = pairs.T
         lengths = np.full((len(points), len(points)), np.inf)
         np.fill_diagonal(lengths, 0.0)
@@ -114,7 +115,7 @@ class Roadmap:
         return len(others) - int(blocked_pairs(self._space, np.vstack([point, features.position]), pairs).sum())
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FREE_SPACE, FEATURES, SIGHT, FLOATS_2, INTEGERS_2, error_model="numpy")
 def _chains(
     space: FreeSpace, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64]
 ) -> tuple[Sight, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -171,7 +172,7 @@ def _chains(
     return sight, begin, count, chains[:used]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(writable(INTEGERS_1), types.int64, INTEGERS_1, types.int64, error_model="numpy")
 def _trace(chains: NDArray[np.int64], used: int, parent: NDArray[np.int64], last: int) -> tuple[NDArray[np.int64], int]:
     """Append the chain that ends with feature ``last`` to the first ``used`` entries; return it all, and its size."""
     count, u = 0, last

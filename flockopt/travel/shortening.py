@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
-from flockopt.geometry.free_space import FreeSpace, may_meet
+from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for, writable
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, may_meet
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.blocking import blocker
@@ -23,7 +24,10 @@ LEAST_GAIN = 1e-4
 SHARES = (1.0, 0.5, 0.25)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(
+    FREE_SPACE, FLOATS_2, INTEGERS_2, INTEGERS_1, writable(INTEGERS_1), writable(FLOATS_2), writable(FLOATS_2),
+    error_model="numpy",
+)  # fmt: skip
 def shorten(
     space: FreeSpace, points: FloatArray, pairs: NDArray[np.int64], begin: NDArray[np.int64], count: NDArray[np.int64],
     bends: FloatArray, along: FloatArray,
@@ -129,7 +133,7 @@ def _skip(space: FreeSpace, path: FloatArray, edges: FloatArray, size: int) -> i
     return size
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FREE_SPACE, writable(FLOATS_2), types.int64, types.int64, error_model="numpy")
 def _level(space: FreeSpace, path: FloatArray, first: int, last: int) -> None:
     """Let the path climb evenly from vertex ``first`` to vertex ``last``, between which all edges are upright.
 

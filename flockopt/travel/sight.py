@@ -6,12 +6,13 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
-from flockopt.geometry.free_space import FreeSpace
+from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, compiled_for, record_of
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.bends import Features
+from flockopt.travel.bends import FEATURES, Features
 from flockopt.travel.blocking import blocker
 
 __all__ = ["Sight", "View", "empty_sight", "look_around", "norm", "sees", "step", "tangent", "wraps"]
@@ -39,6 +40,11 @@ class Sight(NamedTuple):
     used: NDArray[np.int64]  # (1,) filled part of the pool
 
 
+#: The same as compiled code knows them.
+VIEW = types.NamedTuple([FREE_SPACE, FEATURES, FLOATS_2, types.Array(types.uint8, 2, "C")], View)
+SIGHT = record_of(Sight, types.Array(types.int32, 1, "C"), *[INTEGERS_1] * 3)
+
+
 def empty_sight(num_features: int) -> Sight:
     """Nothing known yet."""
     return Sight(
@@ -49,7 +55,7 @@ def empty_sight(num_features: int) -> Sight:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(FLOATS_2, types.int64, FLOATS_2, types.int64, error_model="numpy")
 def step(points: FloatArray, i: int, others: FloatArray, j: int) -> Step:
     """From the i-th of some points (P, 3) to the j-th of others (Q, 3), metres."""
     return others[j, 0] - points[i, 0], others[j, 1] - points[i, 1], others[j, 2] - points[i, 2]
@@ -128,7 +134,7 @@ def look_around(view: View, sight: Sight, u: int) -> Sight:
     return Sight(pool, begin, sight.end, sight.used)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_for(VIEW, types.int64, types.int64, types.int64, error_model="numpy")
 def sees(view: View, point: int, u: int, guess: int) -> int:
     """-1 if a point sees feature u along a line tangent there; else what blocks it (K if unknown)."""
     seen = view.seen

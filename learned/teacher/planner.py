@@ -23,6 +23,7 @@ from flockopt.errors import require
 from flockopt.planning.margins import roomier
 from flockopt.planning.planners import ANY_ANGLE, Planner, Proposal, Request
 from flockopt.records.arrays import FloatArray
+from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 from learned.networks.shipped import load_once
@@ -94,20 +95,13 @@ def refined(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence
 def bundles_of(scene: Scene, travel: Travel, routes: RouteTuple, method: str) -> Bundles:
     """A learned allocator's routes as bundles, each task it leaves with the reason.
 
-    They are infeasible only where no allocator could do better: a policy that leaves tasks has not proven anything.
+    What only a policy leaves is not proven to be left: such bundles are incomplete (`flockopt.bundles.explain`).
     """
     bundles = explained(scene, travel, routes)
-    if bundles.status != "infeasible" or not _is_possible(scene, travel):
+    if bundles.status != Status.INCOMPLETE or method != "magnnet":
         return bundles
-    if method == "magnnet":
-        return Bundles(routes, tuple((task, ONE_TASK_EACH) for task, _ in bundles.unserved))
-    return Bundles(routes, bundles.unserved)
-
-
-def _is_possible(scene: Scene, travel: Travel) -> bool:
-    """Whether nothing is known that keeps every allocation from serving all tasks."""
-    fits = scene.demands.sum() <= scene.capacities.sum() and (scene.demands <= scene.capacities.max(initial=0)).all()
-    return bool(fits) and not travel.unreachable(scene) and bool(np.isfinite(travel.start_end).all())
+    unserved = tuple((task, ONE_TASK_EACH) for task, _ in bundles.unserved)
+    return Bundles(routes, unserved, Status.INCOMPLETE, ONE_TASK_EACH)
 
 
 def control_points(scene: Scene, bundles: Bundles, leg: LegPlanner) -> FloatArray:

@@ -7,7 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.optimality_gap import uniform_scene
+pytest.importorskip("highspy", reason="highspy comes with the extra 'solvers'")
+pytest.importorskip("ortools", reason="OR-Tools comes with the extra 'solvers'")
+
+from benchmarks.allocation_cases import uniform_scene
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.bundles.exact.exact import solve_exact
 from flockopt.certificate.proof import recompute_bound

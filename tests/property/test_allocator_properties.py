@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from flockopt.travel.travel import straight_travel
 from tests.instances import random_instance, random_scene, with_cut_legs
 
-pytest.importorskip("torch")
+pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from learned.teacher.allocators import ALLOCATORS, load_allocator
 from learned.teacher.refinement import refine

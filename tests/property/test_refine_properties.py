@@ -31,7 +31,7 @@ def test_no_limit_is_ever_broken_and_no_task_forgotten(scene, seed, iterations):
     bundles = refine_bundles(scene, travel=travel, seed=seed, iterations=iterations)
     served = [task for route in bundles for task in route]
     assert sorted(served + [task for task, _ in bundles.unserved]) == list(range(scene.num_tasks))
-    assert (bundles.status == "infeasible") == bool(bundles.unserved or bundles.reason)
+    assert (bundles.status in ("infeasible", "incomplete")) == bool(bundles.unserved or bundles.reason)
     for drone, route in enumerate(bundles):
         limit = scene.drones[drone].max_distance
         assert scene.demands[list(route)].sum() <= scene.capacities[drone]

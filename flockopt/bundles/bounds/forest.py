@@ -9,9 +9,10 @@ at most one: prices on breaking these rules (Held and Karp 1970) lift the bound.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
 from flockopt.bundles.bounds.polyak import LEAST_REACH, begin, seen, target
 from flockopt.records.arrays import FloatArray
 
@@ -24,7 +25,7 @@ DIRECTION_SHARE = 0.7
 COOLING = 0.5
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_1, writable(FLOATS_1), writable(INTEGERS_1))
 def _roots(starts: FloatArray, start_prices: FloatArray, costs: FloatArray, owners: NDArray[np.int64]) -> None:
     """Cheapest priced start of every task, into ``costs`` (M,) and ``owners`` (M,)."""
     costs[:] = np.inf
@@ -37,7 +38,7 @@ def _roots(starts: FloatArray, start_prices: FloatArray, costs: FloatArray, owne
                 owners[j] = i
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_1, FLOATS_1, writable(INTEGERS_1), writable(FLAGS_1), writable(FLOATS_1))
 def _grow(
     between: FloatArray,
     roots: FloatArray,
@@ -90,7 +91,7 @@ def _grow(
     return total
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, FLOATS_1)
 def forest_value(starts: FloatArray, between: FloatArray, prices: FloatArray, start_prices: FloatArray) -> float:
     """The bound that task prices (M,) and start prices (N,), all >= 0, prove; metres."""
     num = starts.shape[1]
@@ -100,7 +101,7 @@ def forest_value(starts: FloatArray, between: FloatArray, prices: FloatArray, st
     return float(weight - 2.0 * prices.sum() - start_prices.sum())
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, FLOATS_1)
 def task_shares(starts: FloatArray, between: FloatArray, prices: FloatArray, start_prices: FloatArray) -> FloatArray:
     """The bound shared out over the tasks (M,), metres: what each pays to hang on to the tree.
 
@@ -142,7 +143,7 @@ def _turn(direction: FloatArray, gradient: FloatArray, prices: FloatArray, share
     return max(steepest, norm) if steepest > 0.0 else 0.0
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2, types.int64, types.float64)
 def ascend(starts: FloatArray, between: FloatArray, rounds: int, upper: float) -> FloatArray:
     """Prices near the Held-Karp maximum by a projected subgradient with Polyak steps to a moving target.
 
@@ -169,7 +170,8 @@ def ascend(starts: FloatArray, between: FloatArray, rounds: int, upper: float) -
         if not np.isfinite(value):
             break
         if value > ascent.best:
-            best_prices[:] = prices
+            for k in range(num + num_drones):
+                best_prices[k] = prices[k]
         ascent = seen(ascent, value, COOLING, LEAST_REACH)
         _gradient(degrees, rooted, owners, gradient)
         norm = _turn(direction, gradient, prices, DIRECTION_SHARE if step else 1.0)

@@ -12,12 +12,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["Labels", "Neighbourhood", "cheapest_labels", "count_visits", "grow_labels", "neighbourhood"]
+
+# What the arrays of a `Neighbourhood` are to compiled code.
+ORDERS = types.Array(types.int32, 2, "C", readonly=True)
+PLACES = tuple(types.Array(types.int8, dimensions, "C", readonly=True) for dimensions in (2, 3))
 
 
 class Neighbourhood(NamedTuple):
@@ -63,7 +68,7 @@ def _carry(memory: int, places: NDArray[np.int8]) -> int:
     return moved
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, ORDERS, FLOATS_2, FLOATS_1, INTEGERS_1, *PLACES)
 def grow_labels(
     between: FloatArray,
     order: NDArray[np.int32],
@@ -171,7 +176,7 @@ def _keep(
     return kept
 
 
-@njit(cache=True)
+@compiled_for(INTEGERS_1, FLOATS_1, FLOATS_2, INTEGERS_1, FLOATS_1)
 def cheapest_labels(
     first: NDArray[np.int64], costs: FloatArray, starts: FloatArray, capacities: NDArray[np.int64], idle: FloatArray
 ) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -201,7 +206,7 @@ def cheapest_labels(
     return values, labels
 
 
-@njit(cache=True)
+@compiled_for(INTEGERS_1, INTEGERS_1, INTEGERS_1, writable(FLOATS_1))
 def count_visits(labels: NDArray[np.int64], fronts: NDArray[np.int64], parents: NDArray[np.int64], visits: FloatArray) -> None:
     """Add to ``visits`` (M,) how often the routes of ``labels`` serve each task."""
     for start in labels:

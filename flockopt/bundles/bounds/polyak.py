@@ -10,7 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import types
+
+from flockopt.batches.compiled import compiled_for, record_of
 
 __all__ = ["LEAST_REACH", "Ascent", "begin", "seen", "target"]
 
@@ -29,13 +31,17 @@ class Ascent(NamedTuple):
     stale: int  # rounds since the last one that gained enough
 
 
-@njit(cache=True)
+#: The record's type in compiled signatures.
+ASCENT = record_of(Ascent, types.float64, types.float64, types.int64)
+
+
+@compiled_for()
 def begin() -> Ascent:
     """Before the first value."""
     return Ascent(-np.inf, FIRST_REACH, 0)
 
 
-@njit(cache=True)
+@compiled_for(ASCENT, types.float64, types.float64, types.float64)
 def seen(ascent: Ascent, value: float, cooling: float, least_reach: float) -> Ascent:
     """After one more value; a reach that has to shrink is multiplied by ``cooling``, and is ``least_reach`` at least."""
     best, reach = ascent.best, ascent.reach
@@ -45,7 +51,7 @@ def seen(ascent: Ascent, value: float, cooling: float, least_reach: float) -> As
     return Ascent(max(value, best), reach, stale)
 
 
-@njit(cache=True)
+@compiled_for(ASCENT, types.float64)
 def target(ascent: Ascent, upper: float) -> float:
     """What the next step aims at; not above ``upper``, which the maximum is known not to pass."""
     return min(ascent.best * (1.0 + ascent.reach), max(upper, ascent.best))

@@ -10,9 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLAGS_2, FLOATS_1, INTEGERS_2, compiled_for
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["Cuts", "no_cuts", "violated_cuts"]
@@ -78,7 +79,7 @@ def _as_sets(members: NDArray[np.int64], num_tasks: int) -> NDArray[np.bool_]:
     return sets
 
 
-@njit(cache=True)
+@compiled_for(INTEGERS_2, FLAGS_2, types.int64)
 def _serve(tasks: NDArray[np.int64], sets: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """(T, R) whether each route (its row of ``tasks``) serves ``least`` or more tasks of each set (T, M)."""
     result = np.zeros((sets.shape[0], tasks.shape[0]), np.bool_)
@@ -92,7 +93,7 @@ def _serve(tasks: NDArray[np.int64], sets: NDArray[np.bool_], least: int) -> NDA
     return result
 
 
-@njit(cache=True)
+@compiled_for(FLAGS_2, FLOATS_1)
 def _broken_triples(serves: NDArray[np.bool_], shares: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     """Triples of tasks (T, 3) that routes with two or more of them serve more than once, and by how much (T,)."""
     num = serves.shape[1]
@@ -121,7 +122,7 @@ def _broken_triples(serves: NDArray[np.bool_], shares: FloatArray) -> tuple[NDAr
     return triples[:count], violations[:count]
 
 
-@njit(cache=True)
+@compiled_for(FLAGS_2, FLOATS_1, FLOATS_1, FLOATS_1)
 def _broken_capacities(
     serves: NDArray[np.bool_], shares: FloatArray, demands: FloatArray, carried: FloatArray
 ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:

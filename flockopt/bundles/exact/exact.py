@@ -67,7 +67,8 @@ class ExactResult:
         bound: A bound that its vector proves.
         proven: The bound that all of the work proves, metres: the travel of optimal bundles; infinite where it is
             proven that no allocation serves all tasks.
-        status: That of the bundles: ``"optimal"``, ``"feasible"`` (out of time or room) or ``"infeasible"``.
+        status: That of the bundles: ``"optimal"``, ``"feasible"`` or ``"incomplete"`` (out of time or
+            room), or ``"infeasible"``.
     """
 
     bundles: Bundles
@@ -97,7 +98,7 @@ def solve_exact(
         raise SettingsError("time_limit_s", f"is {time_limit_s!r}", "must be seconds >= 0 or None", "raise it")
     deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s
     best = _first_allocation(scene, travel, warm_start, time_limit_s, seed)
-    upper = math.inf if best.status == Status.INFEASIBLE else travel.total(best.routes)
+    upper = math.inf if best.status != Status.FEASIBLE else travel.total(best.routes)
     if not scene.num_tasks:
         best = replace(best, status=Status.OPTIMAL if upper < math.inf else best.status)
         return ExactResult(best, Bound("ng-route", 0.0, np.empty(0)), upper, best.status)
@@ -107,6 +108,10 @@ def solve_exact(
     prices = ascend_prices(groups, prices, rounds=ROUNDS, upper=ceiling, cooling=COOLING, time_limit_s=left_s)
     value = evaluate(groups, prices)[0]
     best, proven = _Lists(scene, travel, groups, prices, value, ceiling, deadline).close(best, upper)
+    if proven == math.inf and best.status == Status.INCOMPLETE:
+        words = "no allocation serves all tasks, and that is proven: all routes were listed"
+        reasons = "; ".join([words, *(reason for _, reason in best.unserved)])
+        best = replace(best, status=Status.INFEASIBLE, reason=reasons)
     return ExactResult(best, Bound("ng-route", value, prices), proven, best.status)
 
 

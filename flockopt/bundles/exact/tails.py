@@ -10,9 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["Tails", "grow_tails", "match_starts", "trace_tails"]
@@ -57,7 +58,7 @@ def _slot(
     return slot
 
 
-@njit(cache=True)
+@compiled_for(INTEGERS_1, INTEGERS_1, INTEGERS_2, types.int64)
 def _rehashed(table: NDArray[np.int64], fronts: NDArray[np.int64], sets: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     bigger = np.full(4 * table.shape[0], -1)
     for tail in range(count):
@@ -65,7 +66,7 @@ def _rehashed(table: NDArray[np.int64], fronts: NDArray[np.int64], sets: NDArray
     return bigger
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, INTEGERS_1, FLOATS_2, types.float64, types.int64)
 def grow_tails(
     between: FloatArray,
     initial: FloatArray,
@@ -138,7 +139,9 @@ def grow_tails(
     return fronts[:count], costs[:count], loads[:count], lengths[:count], sets[:count], parents[:count]
 
 
-@njit(cache=True)
+@compiled_for(
+    INTEGERS_1, FLOATS_1, INTEGERS_1, FLOATS_1, FLOATS_2, FLOATS_1, INTEGERS_1, FLOATS_1, types.float64, types.int64,
+)  # fmt: skip
 def match_starts(
     fronts: NDArray[np.int64],
     costs: FloatArray,
@@ -180,7 +183,7 @@ def match_starts(
     return rows[:count], ends[:count]
 
 
-@njit(cache=True)
+@compiled_for(INTEGERS_1, INTEGERS_1, INTEGERS_1)
 def trace_tails(ends: NDArray[np.int64], fronts: NDArray[np.int64], parents: NDArray[np.int64]) -> NDArray[np.int64]:
     """(R, K) tasks of these tails in visiting order, -1 after the last."""
     most = 0

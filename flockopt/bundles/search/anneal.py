@@ -7,19 +7,24 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 
+from flockopt.batches.compiled import compiled_for, record_of
 from flockopt.bundles.request import RouteTuple
 from flockopt.bundles.search.construct import build_routes
-from flockopt.bundles.search.matching import Matching, match_tails, matching_scratch
+from flockopt.bundles.search.matching import MATCHING, Matching, match_tails, matching_scratch
 from flockopt.bundles.search.moves import recreate, ruin
 from flockopt.bundles.search.state import (
+    INDICES_1,
     NUM_WAITING,
+    OPTIONS,
+    PROBLEM,
+    ROUTES,
     IntArray,
     Problem,
     Routes,
     adopt,
     commit,
-    compiled,
     random_unit,
     total_cost,
     undo,
@@ -57,6 +62,10 @@ class Stretch(NamedTuple):
     blink_share: float
     match_share: float
     from_best: bool  # whether it begins at the best solution
+
+
+#: The same as compiled code knows it.
+STRETCH = record_of(Stretch, types.int64, *[types.float64] * 5, types.boolean)
 
 
 def default_iterations(num_tasks: int) -> int:
@@ -163,7 +172,7 @@ def _extract(problem: Problem, after: IntArray) -> RouteTuple:
     return tuple(routes)
 
 
-@compiled
+@compiled_for(PROBLEM, ROUTES, MATCHING, INDICES_1, types.float64, STRETCH, **OPTIONS)
 def _anneal(
     problem: Problem, routes: Routes, matching: Matching, best_after: IntArray, best_cost: float, stretch: Stretch
 ) -> float:

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, INTEGERS_1, compiled_for, writable
 from flockopt.bundles.explain import LENGTH_TOLERANCE_M
 from flockopt.bundles.request import RouteTuple
 from flockopt.bundles.search.moves import fits_length
 from flockopt.bundles.search.state import (
+    INDICES_2,
     NUM_WAITING,
+    OPTIONS,
+    PROBLEM,
+    ROUTES,
     UNSERVED,
     IntArray,
     Problem,
     Routes,
     collect_waiting,
     commit,
-    compiled,
     empty_routes,
+    inner,
     insertion_cost,
     link,
     total_cost,
@@ -64,7 +70,10 @@ def build_problem(scene: Scene, travel: Travel) -> Problem:
     )
 
 
-@compiled
+@compiled_for(
+    FLOATS_2, FLOATS_3, FLOATS_2, FLOATS_1, INTEGERS_1, writable(FLOATS_3), INDICES_2, INDICES_2, writable(FLOATS_1),
+    writable(FLOATS_2), writable(FLOATS_2), **OPTIONS,
+)  # fmt: skip
 def _measure(
     start_task: FloatArray, task_task: FloatArray, task_end: FloatArray, start_end: FloatArray, firsts: NDArray[np.int64],
     distance: FloatArray, near: IntArray, near_groups: IntArray, remoteness: FloatArray, closest: FloatArray, alone: FloatArray,
@@ -114,7 +123,7 @@ def _measure(
     return no_way, penalty
 
 
-@compiled
+@inner
 def _longest(legs: FloatArray) -> float:
     """The longest leg that can be flown, 0 without any, metres."""
     longest_m = 0.0
@@ -139,7 +148,7 @@ def _groups(scene: Scene, travel: Travel, limits: list[float]) -> tuple[IntArray
     return group, firsts
 
 
-@compiled
+@compiled_for(FLOATS_2, INDICES_2, types.boolean, **OPTIONS)
 def _nearest(matrix: FloatArray, nearest: IntArray, skip_self: bool) -> None:
     """Fill row r of ``nearest`` with the columns of the least entries of row r, least first."""
     kept = nearest.shape[1]
@@ -179,7 +188,9 @@ def build_routes(problem: Problem, given: RouteTuple, preference: FloatArray, se
     return routes, _build(problem, routes, tasks, drones, preference, price, place, ranks)
 
 
-@compiled
+@compiled_for(
+    PROBLEM, ROUTES, INTEGERS_1, INTEGERS_1, FLOATS_2, writable(FLOATS_2), INDICES_2, INDICES_2, **OPTIONS,
+)  # fmt: skip
 def _build(
     problem: Problem, routes: Routes, tasks: NDArray[np.int64], drones: NDArray[np.int64], preference: FloatArray,
     price: FloatArray, place: IntArray, ranks: IntArray,
@@ -191,7 +202,7 @@ def _build(
     return total_cost(problem, routes)
 
 
-@compiled
+@inner
 def _insert_in_order(problem: Problem, routes: Routes, tasks: NDArray[np.int64], drones: NDArray[np.int64]) -> None:
     num_tasks = len(problem.demand)
     for place in range(len(tasks)):
@@ -203,7 +214,7 @@ def _insert_in_order(problem: Problem, routes: Routes, tasks: NDArray[np.int64],
     collect_waiting(problem, routes)
 
 
-@compiled
+@inner
 def _insert_by_regret(
     problem: Problem, routes: Routes, preference: FloatArray,
     price: FloatArray, place: IntArray, best: IntArray, second: IntArray,
@@ -239,7 +250,7 @@ def _insert_by_regret(
     routes.counters[NUM_WAITING] = left
 
 
-@compiled
+@inner
 def _rank(price: FloatArray, best: IntArray, second: IntArray, task: int) -> None:
     """Note the cheapest drone for the task and the second cheapest (UNSERVED: there is none)."""
     best[task], second[task] = 0, UNSERVED
@@ -250,7 +261,7 @@ def _rank(price: FloatArray, best: IntArray, second: IntArray, task: int) -> Non
             second[task] = drone
 
 
-@compiled
+@inner
 def _price(
     problem: Problem, routes: Routes, preference: FloatArray, price: FloatArray, place: IntArray, task: int, drone: int
 ) -> None:

@@ -12,10 +12,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flockopt.bundles.search.state import RUIN, UNSERVED, IntArray, Problem, Routes, compiled, random_index, random_unit, resize
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, record_of
+from flockopt.bundles.search.state import (
+    INDICES_1,
+    RUIN,
+    UNSERVED,
+    IntArray,
+    Problem,
+    Routes,
+    compiled,
+    inner,
+    random_index,
+    random_unit,
+    resize,
+)
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["Matching", "match_tails", "matching_scratch"]
+__all__ = ["MATCHING", "Matching", "match_tails", "matching_scratch"]
 
 #: How many routes are changed at once, and how many of them may be resting drones.
 MOST_ROUTES, MOST_RESTING = 6, 2
@@ -46,6 +59,10 @@ class Matching(NamedTuple):
     inner: FloatArray  # (R,) m within it
 
 
+#: The same as compiled code knows it.
+MATCHING = record_of(Matching, FLOATS_2, *[FLOATS_1] * 3, *[INDICES_1] * 7, INTEGERS_1, INTEGERS_1, FLOATS_1)
+
+
 def matching_scratch() -> Matching:
     """Memory for matchings of any problem."""
     count, indices = MOST_ROUTES, np.uint32
@@ -67,7 +84,7 @@ def matching_scratch() -> Matching:
     )
 
 
-@compiled
+@inner
 def _gather(problem: Problem, routes: Routes, matching: Matching) -> int:
     """Choose routes around a random task, resting drones among them; returns how many."""
     num_tasks, count = len(problem.demand), 0
@@ -162,7 +179,7 @@ def match_tails(problem: Problem, routes: Routes, matching: Matching) -> float:
     return after - before
 
 
-@compiled
+@inner
 def _cut(problem: Problem, routes: Routes, matching: Matching, part: int, is_whole: bool) -> None:
     """Note the tail of a gathered route: all of it, or what follows its gathered task or the one before that."""
     num_tasks, drone, head = len(problem.demand), matching.drone[part], matching.head[part]
@@ -183,7 +200,7 @@ def _cut(problem: Problem, routes: Routes, matching: Matching, part: int, is_who
     matching.size[part], matching.load[part], matching.inner[part] = size, load, inner
 
 
-@compiled
+@inner
 def _legs(problem: Problem, matching: Matching, row: int, column: int) -> float:
     """Metres of the legs that join the tail of ``column``, as it is, to the head and the end of ``row``."""
     kind, head, end = problem.drone_class[matching.drone[row]], matching.head[row], len(problem.demand) + matching.drone[row]
@@ -192,7 +209,7 @@ def _legs(problem: Problem, matching: Matching, row: int, column: int) -> float:
     return problem.distance[kind, head, matching.first[column]] + problem.distance[kind, matching.last[column], end]
 
 
-@compiled
+@inner
 def _turned_legs(problem: Problem, matching: Matching, row: int, column: int) -> float:
     """The same for the tail turned round."""
     kind, head, end = problem.drone_class[matching.drone[row]], matching.head[row], len(problem.demand) + matching.drone[row]
@@ -201,7 +218,7 @@ def _turned_legs(problem: Problem, matching: Matching, row: int, column: int) ->
     return problem.distance[kind, head, matching.last[column]] + problem.distance[kind, matching.first[column], end]
 
 
-@compiled
+@inner
 def _price_tail(problem: Problem, routes: Routes, matching: Matching, row: int, column: int) -> None:
     """Note what it costs to give the tail of ``column`` to the head of ``row``."""
     drone = matching.drone[row]
@@ -211,7 +228,7 @@ def _price_tail(problem: Problem, routes: Routes, matching: Matching, row: int, 
     matching.cost[row, column] = legs if fits or row == column else problem.no_way
 
 
-@compiled
+@inner
 def _attach(problem: Problem, routes: Routes, matching: Matching, row: int, column: int) -> None:
     """Give the tail of ``column`` to the head of ``row``, turned round if that is shorter; backward links come later."""
     num_tasks, drone, node = len(problem.demand), matching.drone[row], matching.head[row]

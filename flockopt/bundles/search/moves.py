@@ -17,6 +17,7 @@ from flockopt.bundles.search.state import (
     Problem,
     Routes,
     compiled,
+    inner,
     insertion_cost,
     link,
     random_index,
@@ -62,7 +63,7 @@ def ruin(problem: Problem, routes: Routes, mean_ruined: float) -> float:
     return cost
 
 
-@compiled
+@inner
 def _take_string(problem: Problem, routes: Routes, task: int, longest: float) -> float:
     """Take a random string around ``task`` off its route, whole or with a few tasks kept in its middle."""
     drone, num_tasks = routes.route[task], len(problem.demand)
@@ -126,7 +127,7 @@ def recreate(problem: Problem, routes: Routes, num_waited: int, blink_share: flo
     return cost
 
 
-@compiled
+@inner
 def _sort_for_recreation(problem: Problem, routes: Routes, tasks: NDArray[np.uint32]) -> None:
     """Sort in place: at random, heaviest first, farthest first or nearest first (weights 4, 4, 2, 1 from the paper)."""
     kind = random_index(routes.random, np.int64(11))
@@ -146,7 +147,7 @@ def _sort_for_recreation(problem: Problem, routes: Routes, tasks: NDArray[np.uin
         tasks[low], routes.sort_key[low] = task, key
 
 
-@compiled
+@inner
 def best_place(problem: Problem, routes: Routes, task: int, blink_share: float) -> tuple[int, float]:
     """The node behind which ``task`` costs least, and what it adds, metres; UNSERVED where nothing is feasible.
 
@@ -191,13 +192,13 @@ def best_place(problem: Problem, routes: Routes, task: int, blink_share: float) 
     return best, best_cost
 
 
-@compiled
+@inner
 def fits_length(problem: Problem, routes: Routes, drone: int, cost: float) -> bool:
     """Whether the drone may fly ``cost`` metres more than now, and there is a way at all."""
     return routes.length[drone] + cost <= problem.longest[drone] and cost < 0.5 * problem.no_way
 
 
-@compiled
+@inner
 def _best_of_all_places(problem: Problem, routes: Routes, task: int) -> tuple[int, float]:
     num_tasks = len(problem.demand)
     best, best_cost = UNSERVED, np.inf

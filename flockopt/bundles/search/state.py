@@ -7,15 +7,21 @@ distance to it is to the drone's end. Every change is written to a log, and undo
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_3, INNER, INTEGERS_1, record_of
 from flockopt.records.arrays import FloatArray
 
 __all__ = [
+    "INDICES_1",
+    "INDICES_2",
+    "OPTIONS",
+    "PROBLEM",
+    "ROUTES",
     "IntArray",
     "Problem",
     "Routes",
@@ -24,6 +30,7 @@ __all__ = [
     "commit",
     "compiled",
     "empty_routes",
+    "inner",
     "insertion_cost",
     "link",
     "random_index",
@@ -42,11 +49,16 @@ NUM_WAITING, NUM_WAITED, NUM_LOGGED, NUM_RESTING, RUIN = range(5)
 
 #: Indices have no sign, so that numba does not look for negative ones at every access.
 IntArray = NDArray[np.uint32]
+INDICES_1, INDICES_2 = (types.Array(types.uint32, dimensions, "C") for dimensions in (1, 2))
 
 
 #: Compiles a function of the search. Without numba's reference counts, which cost more than the work they guard
 #: here, such a function cannot make an array: that nothing is allocated in the loop is checked at compile time.
-compiled = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+compiled = njit(cache=True, no_cfunc_wrapper=True, **OPTIONS)
+
+#: The same for what only such functions call.
+inner = njit(cache=True, **INNER, **OPTIONS)
 
 
 class Problem(NamedTuple):
@@ -90,6 +102,17 @@ class Routes(NamedTuple):
     random: NDArray[np.uint64]  # (1,) state of the generator
 
 
+#: The two as compiled code knows them.
+PROBLEM = record_of(
+    Problem, FLOATS_3, *[INDICES_1] * 5, INDICES_2, INDICES_2, FLOATS_1, INTEGERS_1, INTEGERS_1, FLOATS_1, types.float64,
+    types.float64,
+)  # fmt: skip
+ROUTES = record_of(
+    Routes, *[INDICES_1] * 3, INTEGERS_1, FLOATS_1, *[INDICES_1] * 6, INTEGERS_1, *[INDICES_1] * 2, FLOATS_1, INTEGERS_1,
+    types.Array(types.uint64, 1, "C"),
+)  # fmt: skip
+
+
 def empty_routes(problem: Problem, seed: int) -> Routes:
     """Routes without tasks: all of them wait."""
     num_drones, num_tasks = len(problem.capacity), len(problem.demand)
@@ -124,7 +147,7 @@ def _seeded(seed: int) -> NDArray[np.uint64]:
     return np.random.SeedSequence(seed).generate_state(1, np.uint64) | np.uint64(1)
 
 
-@compiled
+@inner
 def _random_bits(random: NDArray[np.uint64]) -> np.uint64:
     """Next 64 random bits (xorshift64*; Vigna, 2016)."""
     x = random[0]
@@ -147,7 +170,7 @@ def random_index(random: NDArray[np.uint64], count: int) -> np.int64:
     return np.int64(((_random_bits(random) >> np.uint64(33)) * np.uint64(count)) >> np.uint64(31))
 
 
-@compiled
+@inner
 def insertion_cost(problem: Problem, routes: Routes, task: int, previous: int) -> float:
     """What putting ``task`` behind node ``previous`` adds to its route, metres."""
     matrix = problem.distance[problem.drone_class[routes.route[previous]]]
@@ -155,7 +178,7 @@ def insertion_cost(problem: Problem, routes: Routes, task: int, previous: int) -
     return matrix[previous, task] + matrix[task, following] - matrix[previous, following]
 
 
-@compiled
+@inner
 def resize(problem: Problem, routes: Routes, drone: int, more: int) -> None:
     """Note that the drone's route has ``more`` tasks than before, and whether it rests now."""
     size = routes.size[drone]
@@ -173,7 +196,7 @@ def resize(problem: Problem, routes: Routes, drone: int, more: int) -> None:
         routes.counters[NUM_RESTING] += 1
 
 
-@compiled
+@inner
 def _link(problem: Problem, routes: Routes, task: int, previous: int) -> float:
     cost = insertion_cost(problem, routes, task, previous)
     drone, following = routes.route[previous], routes.after[previous]
@@ -186,7 +209,7 @@ def _link(problem: Problem, routes: Routes, task: int, previous: int) -> float:
     return cost
 
 
-@compiled
+@inner
 def _unlink(problem: Problem, routes: Routes, task: int) -> float:
     drone, previous, following = routes.route[task], routes.before[task], routes.after[task]
     routes.after[previous], routes.before[following] = following, previous
@@ -198,7 +221,7 @@ def _unlink(problem: Problem, routes: Routes, task: int) -> float:
     return -cost
 
 
-@compiled
+@inner
 def link(problem: Problem, routes: Routes, task: int, previous: int) -> float:
     """Put an unserved task behind node ``previous``; returns the travel this adds, metres."""
     logged = routes.counters[NUM_LOGGED]
@@ -207,7 +230,7 @@ def link(problem: Problem, routes: Routes, task: int, previous: int) -> float:
     return _link(problem, routes, task, previous)
 
 
-@compiled
+@inner
 def unlink(problem: Problem, routes: Routes, task: int) -> float:
     """Take a task off its route; returns the travel this adds (mostly negative), metres."""
     logged = routes.counters[NUM_LOGGED]
@@ -274,7 +297,7 @@ def adopt(problem: Problem, routes: Routes, after: IntArray) -> None:
     commit(routes)
 
 
-@compiled
+@inner
 def collect_waiting(problem: Problem, routes: Routes) -> None:
     """Find the tasks that no drone serves."""
     waiting = 0

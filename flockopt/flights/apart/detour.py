@@ -22,6 +22,9 @@ __all__ = ["Detours"]
 #: Room kept around what is flown around, and around a free spot, metres.
 DETOUR_RESERVE_M = 5e-3
 
+#: For small drones that is less: at most this share of what must lie between two of them.
+DETOUR_RESERVE_SHARE = 0.05
+
 #: Distances at which a free spot is looked for, in separations, and directions a ring.
 SPOT_RINGS = (1.1, 1.5, 2.0, 3.0, 5.0, 8.0)
 SPOT_DIRECTIONS = 12
@@ -39,6 +42,7 @@ class Detours:
 
     def __init__(self, scene: Scene, bundles: Bundles, travel: Travel, airborne: Collection[str] = ()) -> None:
         self.scene, self.bundles, self.travel, self.airborne = scene, bundles, travel, airborne
+        self.reserve_m = min(DETOUR_RESERVE_M, DETOUR_RESERVE_SHARE * float(scene.widest_axes[0]))
         self.avoided: dict[int, list[tuple[int, FloatArray]]] = {}  # by drone: whom, and where
         self.spots: dict[int, FloatArray] = {}
 
@@ -96,7 +100,7 @@ class Detours:
 
     def _inside(self, points: FloatArray, center: FloatArray, drone: int, other: int) -> FloatArray:
         """At which points a drone is too near to another one at ``center``, the reserve included."""
-        axes = self.scene.axes_between(drone, other) + DETOUR_RESERVE_M
+        axes = self.scene.axes_between(drone, other) + self.reserve_m
         return np.asarray(np.linalg.norm((points - center) / axes, axis=-1) < 1.0)
 
     def _around(self, drone: int, other: int, center: FloatArray) -> Flight | None:
@@ -125,7 +129,7 @@ class Detours:
         """What the drone is to avoid, as obstacle rows: balls that hold the ellipsoid that it keeps from the other."""
         body, rows = self.scene.drones[drone].radius + self.scene.clearance, []
         for other, center in self.avoided.get(drone, []):
-            radius = max(float(self.scene.axes_between(drone, other).max()) - body, 0.0) + DETOUR_RESERVE_M
+            radius = max(float(self.scene.axes_between(drone, other).max()) - body, 0.0) + self.reserve_m
             rows.append((SPHERE, *center, *(radius,) * 3, 1.0, 0.0))
         return np.array(rows).reshape(-1, len(OBSTACLE_COLUMNS))
 
@@ -181,7 +185,7 @@ class Detours:
 
         need = self.scene.drones[drone].radius + self.scene.clearance
         slack = distances(self.scene.obstacle_table, parking).min(initial=np.inf) - need
-        space = self.scene.free_space(need + max(min(DETOUR_RESERVE_M, 0.5 * slack), 0.0))
+        space = self.scene.free_space(need + max(min(self.reserve_m, 0.5 * slack), 0.0))
         return np.array([segment_clear(space, parking, spot) for spot in candidates])
 
 

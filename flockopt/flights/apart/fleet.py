@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -11,11 +12,15 @@ from flockopt.errors import MissingExtra
 from flockopt.flights import Curve, Flight, Visit
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
+from flockopt.scene.apart import least_resting_share
 
 __all__ = ["TimedFleet", "Timing"]
 
 #: Room kept beyond the separation where the starts leave any, metres.
 SEPARATION_RESERVE_M = 1e-3
+
+#: For small drones that is less: at most this share of what must lie between them.
+SEPARATION_RESERVE_SHARE = 0.01
 
 #: How much slower than at full speed a flight may be flown to let others pass.
 SLOWDOWNS = (1.0, 1.3, 1.7)
@@ -192,8 +197,10 @@ class TimedFleet:
 
 
 def _reserve(scene: Scene) -> float:
-    """Metres kept beyond what must lie between two drones, for rounding, as far as the starts leave them."""
-    reserve = SEPARATION_RESERVE_M
+    """Metres kept beyond what must lie between two drones, for rounding, as far as starts and places of rest leave them."""
+    tightest = float(scene.widest_axes[0]) if scene.num_drones > 1 else math.inf
+    reserve = min(SEPARATION_RESERVE_M, SEPARATION_RESERVE_SHARE * tightest)
+    reserve = min(reserve, max(0.5 * (least_resting_share(scene) - 1.0) * tightest, 0.0))
     for i in range(1, scene.num_drones):
         axes = scene.axes_between(np.arange(i), i)  # (i, 3)
         gaps = np.linalg.norm((scene.starts[:i] - scene.starts[i]) / axes, axis=1)

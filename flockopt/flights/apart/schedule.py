@@ -12,9 +12,10 @@ from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
-from numba import njit
+from numba import types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_3, compiled_for
 from flockopt.errors import MissingExtra, SolverFailed
 from flockopt.geometry.continuous import first_conflict
 from flockopt.records.arrays import FloatArray
@@ -31,7 +32,7 @@ DETERMINISTIC_SECONDS = 2.0
 MAKESPAN_WEIGHT = 1000
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, FLOATS_3, FLOATS_1, FLOATS_3, FLOATS_1, types.float64, types.int64)
 def meeting_steps(
     bp_a: FloatArray, co_a: FloatArray, bp_b: FloatArray, co_b: FloatArray, axes: FloatArray, step_s: float, most: int
 ) -> NDArray[np.bool_]:

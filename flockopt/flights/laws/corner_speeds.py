@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, compiled_for
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["SHORTEST_PHASE_S", "corner_speeds", "must_be_simple", "peak_speed", "ramp_seconds"]
@@ -35,7 +36,7 @@ MOST_SLOWDOWNS = 400
 GROWTH = 1.25
 
 
-@njit(cache=True)
+@compiled_for(types.float64, types.float64, types.float64)
 def must_be_simple(change: float, max_acceleration: float, max_jerk: float) -> bool:
     """Whether the fastest ramp would have a phase that is too short."""
     rising, holding = max_acceleration / max_jerk, change / max_acceleration - max_acceleration / max_jerk
@@ -44,7 +45,7 @@ def must_be_simple(change: float, max_acceleration: float, max_jerk: float) -> b
     return min(rising, holding) < SHORTEST_PHASE_S
 
 
-@njit(cache=True)
+@compiled_for(types.float64, types.float64, types.float64, types.boolean)
 def ramp_seconds(change: float, max_acceleration: float, max_jerk: float, simple: bool) -> float:
     """Duration of a ramp between two velocities that differ by ``change`` m/s, with no acceleration at its ends.
 
@@ -75,7 +76,7 @@ def _change_distance(one: float, other: float, limits: FloatArray) -> float:
     return 0.5 * (one + other) * ramp_seconds(abs(one - other), limits[1], limits[2], True)
 
 
-@njit(cache=True)
+@compiled_for(types.float64, types.float64, types.float64, FLOATS_1)
 def peak_speed(start: float, end: float, distance: float, limits: FloatArray) -> float:
     """The highest speed, m/s, that two simple ramps reach and leave again within a distance."""
     low, high = max(start, end), limits[0]
@@ -141,7 +142,7 @@ def _needs(
     return result, lengths
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FLOATS_1, FLOATS_1, FLAGS_1)
 def corner_speeds(
     points: FloatArray, caps: FloatArray, limits: FloatArray, simple: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:

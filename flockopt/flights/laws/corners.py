@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
 
+from flockopt.batches.compiled import FLOATS_1, compiled_for
 from flockopt.flights.waypoints import FLY_THROUGH, Waypoints
 from flockopt.geometry.free_space import FreeSpace, inside, segment_clear
 from flockopt.records.arrays import FloatArray
@@ -21,7 +21,7 @@ __all__ = ["merged_corners"]
 FARTHEST_MITRE = 4.0
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, FLOATS_1, FLOATS_1, FLOATS_1)
 def _mitre(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
     """Where the legs a-b and d-c, prolonged, meet or come nearest to each other; NaN where they are parallel."""
     u, v, w = b - a, c - d, b - c

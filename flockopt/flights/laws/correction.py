@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
+from numba import types
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for
 from flockopt.flights.room import Room
 from flockopt.flights.waypoints import CHORD_TOLERANCE, Waypoints, anchored_legs, waypoints_from_paths
-from flockopt.geometry.free_space import FreeSpace, polyline_free
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, polyline_free
 from flockopt.geometry.kernels import point_distance, point_gradient
 from flockopt.geometry.polylines import thinned
 from flockopt.records.arrays import FloatArray
@@ -30,7 +31,7 @@ MOST_MOVES = 24
 HALVINGS = 2
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1, FREE_SPACE, types.float64)
 def _worst(point: FloatArray, space: FreeSpace, inflation: float) -> tuple[float, int]:
     """How deep a point is within the deepest inflated obstacle, metres, and which that is; (0, -1) if in none."""
     depth, deepest = 0.0, -1
@@ -47,7 +48,7 @@ def _worst(point: FloatArray, space: FreeSpace, inflation: float) -> tuple[float
     return depth, deepest
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FREE_SPACE, types.float64)
 def _push_out(points: FloatArray, space: FreeSpace, inflation: float) -> FloatArray:
     """The points (P, 3), all but the first and last moved along the distance's gradient out of what they are in."""
     result = points.copy()
@@ -80,7 +81,7 @@ def densified(control: FloatArray) -> FloatArray:
     return result
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, FREE_SPACE, types.float64)
 def _corrected_leg(leg: FloatArray, space: FreeSpace, inflation: float) -> tuple[FloatArray, bool]:
     """A leg's samples moved out of inflated obstacles, closer ones if that is not enough; and whether it is clear."""
     moved = _push_out(leg, space, inflation)

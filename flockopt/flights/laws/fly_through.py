@@ -16,11 +16,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for
 from flockopt.geometry.bernstein import control_points, least_margin
-from flockopt.geometry.free_space import FreeSpace
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["first_outside", "fly_polyline"]
@@ -74,14 +75,14 @@ def _leg_velocities(vertices: FloatArray, leg_s: FloatArray, velocity: FloatArra
     """Velocities before, along and after the legs: (n + 2, 3), the last one zero."""
     legs = leg_s.shape[0]
     result = np.zeros((legs + 2, 3))
-    result[0] = velocity
-    for k in range(legs):
-        for axis in range(3):
+    for axis in range(3):
+        result[0, axis] = velocity[axis]
+        for k in range(legs):
             result[k + 1, axis] = (vertices[k + 1, axis] - vertices[k, axis]) / leg_s[k]
     return result
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_1)
 def _norm(vector: FloatArray) -> float:
     return math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
 
@@ -218,7 +219,7 @@ def _fill_blend(
         piece[axis, 4] = -change / (2 * seconds**3) + a / (4 * seconds**2)
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_2, *[FLOATS_1] * 5, types.int64)
 def fly_polyline(
     points: FloatArray,
     rest_s: FloatArray,
@@ -226,7 +227,7 @@ def fly_polyline(
     limits: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
-    unwanted: int = 0,
+    unwanted: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
     """A C2 flight through every point of a polyline.
 
@@ -274,26 +275,29 @@ def fly_polyline(
             if k < last - first:
                 cruise = leg_s[k] - (t + blend_s[k + 1]) / 2
                 if cruise > 1e-9:
-                    coefficients[pieces, :, 0] = vertices[k] + velocities[k + 1] * (t / 2)
-                    coefficients[pieces, :, 1] = velocities[k + 1]
+                    for axis in range(3):
+                        coefficients[pieces, axis, 0] = vertices[k, axis] + velocities[k + 1, axis] * (t / 2)
+                        coefficients[pieces, axis, 1] = velocities[k + 1, axis]
                     durations[pieces], owners[pieces] = cruise, 2 * (first + k) + 1
                     pieces += 1
                 center += leg_s[k]
         clock = center + blend_s[last - first] / 2
         times[last] = clock
         if rest_s[last] > 0.0:
-            coefficients[pieces, :, 0] = points[last]
+            for axis in range(3):
+                coefficients[pieces, axis, 0] = points[last, axis]
             durations[pieces], owners[pieces] = rest_s[last], 2 * last
             pieces += 1
             clock += rest_s[last]
         first = last
         entry_velocity, entry_acceleration = rest, rest
     breakpoints = np.zeros(pieces + 1)
-    breakpoints[1:] = np.cumsum(durations[:pieces])
+    for k in range(pieces):
+        breakpoints[k + 1] = breakpoints[k] + durations[k]
     return breakpoints, coefficients[:pieces].copy(), times, owners[:pieces].copy()
 
 
-@njit(cache=True)
+@compiled_for(FREE_SPACE, FLOATS_1, FLOATS_3)
 def first_outside(space: FreeSpace, breakpoints: FloatArray, coefficients: FloatArray) -> int:
     """Index of the first piece that leaves the bounds, or -1."""
     control = control_points(breakpoints, coefficients, coefficients.shape[2])

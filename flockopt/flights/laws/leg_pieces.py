@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, INTEGERS_1, compiled_for
 from flockopt.flights.laws.fly_through import first_outside
 from flockopt.geometry.bernstein import SMALL_SQUARE, control_points, derivative, largest_value, squared_norm
 from flockopt.geometry.continuous import curve_clear
-from flockopt.geometry.free_space import FreeSpace
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["assembled", "faulty_legs", "leg_seconds"]
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_3, INTEGERS_1, FLOATS_1, INTEGERS_1, FLOATS_2, FLOATS_1)
 def assembled(
     pieces: FloatArray, counts: NDArray[np.int64], seconds: FloatArray, ends: NDArray[np.int64], points: FloatArray,
     rest_s: FloatArray,
@@ -67,7 +67,7 @@ def assembled(
     return breakpoints, coefficients, times
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_3, INTEGERS_1, FREE_SPACE)
 def faulty_legs(pieces: FloatArray, first: NDArray[np.int64], space: FreeSpace) -> NDArray[np.bool_]:
     """Which of one drone's legs (L,) come too near to an obstacle or leave the bounds."""
     result = np.zeros(len(first) - 1, dtype=np.bool_)
@@ -78,7 +78,7 @@ def faulty_legs(pieces: FloatArray, first: NDArray[np.int64], space: FreeSpace) 
     return result
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_3, INTEGERS_1, FLOATS_2)
 def leg_seconds(pieces: FloatArray, first: NDArray[np.int64], limits: FloatArray) -> FloatArray:
     """The shortest duration of every leg (L,) that keeps its limits (L, 3) at every instant."""
     result = np.zeros(len(first) - 1)

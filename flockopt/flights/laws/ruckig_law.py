@@ -151,7 +151,7 @@ def _fly_stage(
 
     ``simple`` (2 n + 1,) says for corner k at 2 k and for the leg after it at 2 k + 1 whether few pieces are wanted.
     """
-    vertices, speeds = corner_speeds(points, caps, limits, simple[::2])
+    vertices, speeds = corner_speeds(points, caps, limits, simple[::2].copy())
     directions = np.diff(vertices, axis=0)
     lengths = np.linalg.norm(directions, axis=1)
     directions /= lengths[:, None]

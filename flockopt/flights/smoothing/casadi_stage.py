@@ -25,7 +25,7 @@ LIMIT_SHARES = np.array([0.999, 0.975, 0.98])
 LONGEST_SHARE = 0.995
 
 #: Extra room kept from obstacles where the given flight has it, metres.
-ROOM_RESERVE_M = 1e-3
+ROOM_RESERVE_M, ROOM_RESERVE_SHARE = 1e-3, 0.01
 
 #: A duration stays within these multiples of the given one.
 SHORTEST, LONGEST = 0.5, 2.0
@@ -153,7 +153,7 @@ def _half_spaces(scene: Scene, drone: Drone, guess: Stage, num_rows: int, reach_
     """What keeps the stage clear and within bounds: see `tangent_rows`."""
     need = drone.radius + scene.clearance
     gaps = distances(scene.obstacle_table, guess.control.transpose(0, 2, 1).reshape(-1, 3)).min(axis=0) - need
-    space = scene.free_space(need + np.clip(0.5 * gaps, 0.0, ROOM_RESERVE_M))
+    space = scene.free_space(need + np.clip(0.5 * gaps, 0.0, min(ROOM_RESERVE_M, ROOM_RESERVE_SHARE * need)))
     return tangent_rows(guess.control, space, num_rows, reach_m)
 
 

@@ -10,10 +10,11 @@ judge uses too. The sides of the scene's bounds are half-spaces already.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
+from flockopt.batches.compiled import FLOATS_3, compiled_for
 from flockopt.geometry.bernstein import halve
-from flockopt.geometry.free_space import FreeSpace
+from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.intervals import box_gap, fit_box
 from flockopt.geometry.kernels import point_distance, point_gradient
 from flockopt.records.arrays import FloatArray
@@ -27,7 +28,7 @@ DEEPEST_PART = 3
 NUM_PARTS = 2 ** (DEEPEST_PART + 1) - 1
 
 
-@njit(cache=True)
+@compiled_for(types.int64)
 def part_weights(num_terms: int) -> FloatArray:
     """Control points of a piece's dyadic parts as sums of its own: (parts, D, D), part 2 i + 1 the first half of i."""
     weights = np.zeros((NUM_PARTS, num_terms, num_terms))
@@ -122,7 +123,7 @@ def _obstacle_rows(
                 _keep(margins, rows, offsets, gaps[i], normal, parts[part, i], min(offset, offset + gaps[i]))
 
 
-@njit(cache=True)
+@compiled_for(FLOATS_3, FREE_SPACE, types.int64, types.float64)
 def tangent_rows(control: FloatArray, space: FreeSpace, num_rows: int, reach: float) -> tuple[FloatArray, FloatArray]:
     """Inequalities under which a curve near the given one is clear of obstacles and within bounds.
 

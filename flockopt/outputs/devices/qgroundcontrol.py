@@ -8,6 +8,7 @@ developer guide ("Plan File Format"), the commands in MAVLink's ``MAV_CMD``.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from itertools import pairwise
@@ -45,6 +46,9 @@ SMALLEST_MOVE_M, SHORTEST_HOLD_S = 1e-3, 1e-3
 #: Speeds nearer to each other than this are the same.
 SPEED_STEP_MPS = 0.01
 
+#: A scene is a flat piece of ground around its origin: at this distance its plane is 800 m above the sea.
+FARTHEST_M = 1e5
+
 FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 
@@ -64,6 +68,12 @@ def convert(plan: Plan, scene: Scene) -> tuple[dict[str, str], list[str]]:
         if not FILE_NAME.fullmatch(drone.id):
             mend = "use letters, digits, dots, dashes and underscores"
             misfits.append(f"drone {drone.id} has an id that makes no file name; {mend}")
+        if math.hypot(*drone.start) > FARTHEST_M:
+            far = f"starts {math.hypot(*drone.start) / 1e3:.0f} km from the scene's (0, 0, 0), which its origin puts on Earth"
+            mend = (
+                f"places are within {FARTHEST_M / 1e3:g} km of it; subtract an offset from the scene, and give the origin there"
+            )
+            misfits.append(f"drone {drone.id} {far}; {mend}")
         files[f"{drone.id}.plan"] = json.dumps(mission(scene, scene.origin, drone, plan.flights[drone.id]), indent=4) + "\n"
     return files, misfits
 

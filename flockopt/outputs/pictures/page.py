@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from flockopt.certificate.placement import plan_into
 from flockopt.flights import Flight
 from flockopt.outputs.pictures.motion import SampledMotion, flights_of, sample_motion
 from flockopt.outputs.pictures.style import INK, MUTED, drone_color, extent_z, headline, servers
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Scene
+from flockopt.scene.frame import Frame
 
 if TYPE_CHECKING:
     from flockopt.certificate import Plan
@@ -24,7 +26,12 @@ CODE = {"__VIEW__": "view.js", "__PLAYER__": "player.js"}
 
 
 def page(scene: Scene, plan: Plan | None = None) -> str:
-    """The page's content: template, view, player and the flight's data in one text."""
+    """The page's content: template, view, player and the flight's data in one text.
+
+    It is drawn in the frame around the scene's midst: browsers draw in single precision, and no coordinates are shown.
+    """
+    frame = Frame.of(scene.bounds)
+    scene, plan = frame.near(scene), None if plan is None else plan_into(frame, plan)
     parts = files("flockopt.outputs.pictures")
     text = (parts / "page.html").read_text(encoding="utf-8")
     flight = json.dumps(_flight(scene, plan), separators=(",", ":"), allow_nan=False)

@@ -41,6 +41,7 @@ def draw_top_view(axes: Axes, scene: Scene, plan: Plan | None, motion: SampledMo
     axes.set_ylim(lower[1] - rim, upper[1] + rim)
     axes.set_aspect("equal", adjustable="box")
     axes.tick_params(length=3, labelsize=8)
+    axes.ticklabel_format(useOffset=False, style="plain")  # far from zero, coordinates are told whole
     _draw_obstacles(axes, scene)
     if motion is not None:
         _draw_routes(axes, motion)

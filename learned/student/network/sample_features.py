@@ -87,7 +87,7 @@ def _tell_of_obstacles(
 ) -> None:
     """Fill a row (nearest * 15,) with room, way out, centre, half extents, kind and turn of each obstacle, nearest first."""
     x, y, z = point
-    gaps = np.array([point_distance(obstacle, x, y, z) for obstacle in table])
+    gaps = np.array([point_distance(table[k], x, y, z) for k in range(len(table))])
     for rank in range(len(row) // NUM_PER_OBSTACLE):
         part = row[rank * NUM_PER_OBSTACLE : (rank + 1) * NUM_PER_OBSTACLE]
         part[0] = REACH

@@ -6,7 +6,7 @@ import csv
 
 import pytest
 
-pytest.importorskip("torch")
+pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from benchmarks.learned_allocation import main
 

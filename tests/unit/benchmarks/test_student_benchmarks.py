@@ -6,7 +6,7 @@ import csv
 
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from benchmarks import pipeline, scalability, student_ablation, way_finders  # noqa: E402 - torch may be missing
 from flockopt import MissingExtra, Scene  # noqa: E402 - torch may be missing

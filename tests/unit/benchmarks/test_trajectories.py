@@ -11,7 +11,7 @@ from benchmarks import trajectories
 from benchmarks.flight_measures import squared_jerk
 from flockopt.flights import Flight, Visit
 
-pytest.importorskip("matplotlib")
+pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
 
 
 def rows(folder):
@@ -20,7 +20,7 @@ def rows(folder):
 
 
 def test_every_law_flies_the_same_bundles(tmp_path, capsys):
-    pytest.importorskip("ruckig")
+    pytest.importorskip("ruckig", reason="ruckig comes with the extra 'trajectory'")
     assert trajectories.main(["--scenes", "2", "--size", "3x6", "--out", str(tmp_path)]) == 0
     table = rows(tmp_path)
     assert [row["law"] for row in table] == list(trajectories.LAWS) * 2

@@ -134,6 +134,7 @@ def test_the_judge_loads_fcl_only_when_asked():
 
 
 def test_the_command_line_asks_it(flockopt, root, tmp_path):
+    pytest.importorskip("fcl", reason="python-fcl comes with the extra 'trajectory'")
     scene, plan = root / "examples/scenes/two-drones.json", tmp_path / "plan.json"
     assert flockopt("plan", scene, "-o", plan, "--quiet")[0] == 0
     status, out, _ = flockopt("verify", scene, plan, "--engine", "fcl")

@@ -19,6 +19,7 @@ from flockopt.cli.text import printable, table
 @pytest.fixture(scope="module")
 def planned(root, tmp_path_factory):
     """A scene file and the plan file made of it, and what the command printed."""
+    pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     folder = tmp_path_factory.mktemp("planned")
     shutil.copy(root / "examples/scenes/two-drones.json", folder / "scene.json")
     command = [sys.executable, "-m", "flockopt", "plan", "scene.json", "-o", "plan.json", "--show", "plan.png"]
@@ -92,6 +93,7 @@ def test_the_same_seed_gives_the_same_plan(planned, flockopt, tmp_path):
 
 
 def test_infeasible_scenes_say_why(flockopt, two_drones, tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     two_drones["drones"][0]["capacity"] = two_drones["drones"][1]["capacity"] = 1
     (tmp_path / "scene.json").write_text(json.dumps(two_drones))
     status, out, err = flockopt("plan", tmp_path / "scene.json", "-o", tmp_path / "plan.json", "--show", tmp_path / "plan.png")
@@ -137,6 +139,8 @@ def test_generate_gives_what_was_asked_for(flockopt, tmp_path):
 
 @pytest.mark.parametrize("suffix", ["png", "html"])
 def test_show_draws_a_scene_alone(flockopt, root, tmp_path, suffix):
+    if suffix == "png":
+        pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     target = tmp_path / f"scene.{suffix}"
     assert flockopt("show", root / "examples/scenes/two-drones.json", "-o", target) == (0, "", "")
     assert target.stat().st_size > 1000
@@ -201,6 +205,25 @@ def test_progress_speaks_after_a_second(monkeypatch, stream, words):
         assert stream.getvalue().endswith("\r" + " " * len(words.strip()) + "\r")
 
 
+@pytest.mark.parametrize(
+    ("stream", "words"),
+    [
+        (Terminal(), "\rcompiling 5, 2.0 s\rcompiling 20, 4.0 s\rcompiling 25, 6.0 s"),
+        (io.StringIO(), "compiling 20, 4.0 s\n"),
+    ],
+)
+def test_progress_speaks_now_and_then_in_the_middle_of_a_stage(monkeypatch, stream, words):
+    now = [100.0]
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setattr("flockopt.batches.progress.time.monotonic", lambda: now[0])
+    with StageLine() as progress:
+        progress.tell("compiling 1", 0.01)
+        for percent in (5, 20, 25):
+            now[0] += 2.0
+            progress.tell(f"compiling {percent}", 0.01 * percent)
+        assert stream.getvalue() == words
+
+
 def test_progress_can_be_quiet(monkeypatch, capsys):
     times = iter([0.0, 9.0])
     monkeypatch.setattr("flockopt.batches.progress.time.monotonic", lambda: next(times))
@@ -218,6 +241,7 @@ def test_tables_line_up_and_stay_on_their_lines():
 
 
 def test_the_exact_planner_says_that_its_plan_is_the_best(flockopt, tmp_path, root):
+    pytest.importorskip("highspy", reason="highspy comes with the extra 'solvers'")
     output = tmp_path / "plan.json"
     status, out, _ = flockopt("plan", root / "examples/scenes/rotterdam.json", "-o", output, "--planner", "exact")
     assert status == 0

@@ -3,11 +3,11 @@ import pytest
 
 from flockopt.errors import MissingExtra, SolverFailed
 from flockopt.flights.smoothing import casadi_program
-from flockopt.flights.smoothing.casadi_program import STATE, STEP, StageProgram, StageGoal, load_casadi, program
+from flockopt.flights.smoothing.casadi_program import STATE, STEP, StageGoal, StageProgram, load_casadi, program
 from flockopt.flights.smoothing.stages import TERMS, Stage
 from flockopt.geometry.bernstein import largest_norm
 
-pytest.importorskip("casadi")
+pytest.importorskip("casadi", reason="CasADi comes with the extra 'trajectory'")
 
 PIECES, ROWS = 3, 2
 

@@ -15,7 +15,7 @@ from flockopt.flights.laws.corner_speeds import SHORTEST_PHASE_S, corner_speeds,
 from flockopt.flights.room import MOST_PIECES
 from flockopt.geometry.bernstein import control_points, largest_norm
 
-pytest.importorskip("ruckig")
+pytest.importorskip("ruckig", reason="ruckig comes with the extra 'trajectory'")
 
 from flockopt.flights.laws.ruckig_law import fly_polyline
 
@@ -91,7 +91,7 @@ def test_a_capped_corner_is_slow_while_its_legs_are_fast():
     curve = Curve(breakpoints, coefficients)
     assert np.linalg.norm(curve(times[1], 1)) <= 0.5 + 1e-9
     assert largest(curve, 1) > 1.9
-    slow = Curve(*fly_through.fly_polyline(points, np.array([-1.0, -1, 0]), np.array([0.5, 0.5]), LIMITS, ZERO, ZERO)[:2])
+    slow = Curve(*fly_through.fly_polyline(points, np.array([-1.0, -1, 0]), np.array([0.5, 0.5]), LIMITS, ZERO, ZERO, 0)[:2])
     assert curve.duration < 0.4 * slow.duration
 
 

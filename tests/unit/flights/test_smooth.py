@@ -28,7 +28,7 @@ from flockopt.geometry.bernstein import control_points, piece_states
 from flockopt.geometry.continuous import curve_clear, farthest_from
 from tests.flights import check_flights, drone, in_order, make_scene
 
-pytest.importorskip("casadi")
+pytest.importorskip("casadi", reason="CasADi comes with the extra 'trajectory'")
 
 
 def flown(scene, law="fly-through"):
@@ -152,7 +152,7 @@ def test_a_drone_at_its_limits_goes_on_from_there():
 @pytest.mark.parametrize("law", ["quintic", "ruckig"])
 def test_flights_of_other_laws(law, simple):
     if law == "ruckig":
-        pytest.importorskip("ruckig")
+        pytest.importorskip("ruckig", reason="ruckig comes with the extra 'trajectory'")
     scene, _ = simple
     given = decode(scene, in_order(scene), law=law)
     report = smooth_each(scene, given)

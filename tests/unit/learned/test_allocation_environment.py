@@ -11,7 +11,7 @@ from flockopt.travel.travel import straight_travel
 from tests.instances import random_scene, with_cut_legs
 from tests.plain_allocation import PlainEnvironment
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from learned.teacher.environment import choices, reset, step  # noqa: E402
 from learned.teacher.problems import Problems, random_problems  # noqa: E402 - torch may be missing

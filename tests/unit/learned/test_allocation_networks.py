@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from learned.teacher.actors.critic import CentralCritic  # noqa: E402
 from learned.teacher.actors.networks import make_actor  # noqa: E402

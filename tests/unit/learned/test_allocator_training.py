@@ -9,7 +9,7 @@ import pytest
 
 from flockopt import SettingsError
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from learned.networks.weight_files import load_weights  # noqa: E402
 from learned.teacher.problems import random_problems  # noqa: E402 - torch may be missing

@@ -11,7 +11,7 @@ import pytest
 from flockopt.travel.travel import straight_travel
 from tests.instances import random_instance, random_scene
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from learned.teacher.refinement import refine  # noqa: E402 - torch may be missing
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip("torch")
+pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt.errors import SettingsError
 from learned.networks.weight_files import save_weights

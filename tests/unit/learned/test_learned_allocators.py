@@ -16,7 +16,7 @@ from flockopt.travel.travel import straight_travel
 from learned.networks.shipped import shipped_path
 from tests.instances import random_instance, random_scene
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from learned.networks.weight_files import save_weights  # noqa: E402
 from learned.teacher.allocators import ALLOCATORS, load_allocator  # noqa: E402 - torch may be missing

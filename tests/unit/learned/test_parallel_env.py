@@ -9,8 +9,8 @@ from flockopt import SettingsError
 from flockopt.travel.travel import straight_travel
 from tests.instances import random_scene
 
-pytest.importorskip("pettingzoo")
-pytest.importorskip("torch")
+pytest.importorskip("pettingzoo", reason="PettingZoo comes with the extra 'learned'")
+pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from pettingzoo.test import parallel_api_test
 

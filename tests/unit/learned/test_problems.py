@@ -12,7 +12,7 @@ from flockopt.travel.travel import straight_travel
 from tests.instances import random_instance, random_scene
 from tests.plain_allocation import plain_scale
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from learned.teacher.problems import Problems, random_capacities, random_problems  # noqa: E402 - torch may be missing
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt import SettingsError, plan, refine_bundles  # noqa: E402 - torch may be missing
 from flockopt.flights.smoothing.improve import NOTHING_BETTER, SMOOTHED  # noqa: E402
@@ -95,7 +95,7 @@ def test_missing_weights_are_named(tmp_path):
 @pytest.mark.parametrize("smoothing", [False, True])
 def test_a_plan_with_a_smoother_is_certified_and_sooner(smoothing):
     if smoothing:
-        pytest.importorskip("casadi")
+        pytest.importorskip("casadi", reason="CasADi comes with the extra 'trajectory'")
     scene, _ = flown("forest", drones=4, tasks=8, seed=3)
 
     def smoothed(request):

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt.flights.smoothing.stages import Stage  # noqa: E402 - torch may be missing
 from learned.demonstrations.timed_shards import NO_PHASE, StageRecord  # noqa: E402

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt import SettingsError  # noqa: E402 - torch may be missing
 from learned.networks.checkpoint import restore, save_checkpoint  # noqa: E402

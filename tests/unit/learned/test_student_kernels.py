@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt import Sphere, generate  # noqa: E402 - torch may be missing
 from flockopt.flights.waypoints import leg_clear  # noqa: E402

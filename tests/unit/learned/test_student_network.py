@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt import SettingsError, Sphere  # noqa: E402 - torch may be missing
 from flockopt.geometry.distances import distances, surface_normals  # noqa: E402

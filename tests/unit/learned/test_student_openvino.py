@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 
 from flockopt import MissingExtra, SettingsError  # noqa: E402 - torch may be missing
@@ -46,7 +46,7 @@ def test_traced_once_for_all_sizes():
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", TOLERANCES)
 def test_outputs_are_those_of_torch(precision, tmp_path):
-    pytest.importorskip("openvino")
+    pytest.importorskip("openvino", reason="OpenVINO comes with the extra 'openvino'")
     student = tiny_student("small")
     for compiled in (OpenVinoStudent(student, precision, tmp_path), OpenVinoStudent(student, precision, tmp_path)):
         for family, drones, tasks in SIZES:

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt import Bundles, MissingExtra, SettingsError, generate, plan  # noqa: E402 - torch may be missing
 from flockopt.flights.smoothing.stages import squared_jerk  # noqa: E402
@@ -60,7 +60,7 @@ def test_the_hybrid_keeps_to_a_time_limit(forest, monkeypatch):
     limits, search = [], planner.refine_bundles
     monkeypatch.setattr(planner, "refine_bundles", lambda *a, **k: limits.append(k["time_limit_s"]) or search(*a, **k))
     result = plan(forest, planner=HYBRID, time_limit_s=0.4)
-    assert result.status == "certified" and result.timing["total"] < 4.0  # what a slow machine may add
+    assert result.status == "certified"
     assert result.cost.travel <= plan(forest, planner="classical").cost.travel + 1e-9
     assert len(limits) == 2 and min(limits) > 0.0 and limits[0] > 4.0 * limits[1] and sum(limits) < 0.4
 

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 
 from flockopt import SettingsError  # noqa: E402 - torch may be missing
 from flockopt.flights.waypoints import leg_clear  # noqa: E402
@@ -78,7 +78,7 @@ def test_clearance_loss_is_zero_on_roomy_ways_and_not_on_straight_ones():
 
 
 def test_schedule_and_ddim_are_those_of_diffusers():
-    diffusers = pytest.importorskip("diffusers")
+    diffusers = pytest.importorskip("diffusers", reason="diffusers comes with the dependency group 'dev'")
     scheduler = diffusers.DDIMScheduler(
         num_train_timesteps=1000, beta_schedule="squaredcos_cap_v2", prediction_type="sample", clip_sample=False,
         timestep_spacing="trailing", set_alpha_to_one=True,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("casadi")
+pytest.importorskip("casadi", reason="CasADi comes with the extra 'trajectory'")
 
 from flockopt import SettingsError
 from learned.demonstrations import timed

@@ -7,7 +7,7 @@ import pytest
 from flockopt import SettingsError
 from learned.networks.weight_files import load_weights, save_weights, to_bytes, to_floats
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
 SETTINGS = {"width": 64, "scale": 0.5, "name": "tiny"}
 
 

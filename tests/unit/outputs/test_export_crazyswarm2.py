@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+pytest.importorskip("yaml", reason="PyYAML comes with the extra 'trajectory'")
 import yaml
 
 from flockopt import Curve, Flight, MissingExtra, PlanError, export, plan

@@ -8,8 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flockopt import Curve, Flight, Scene, SceneError, Visit, export, plan
+from flockopt import Bounds, Curve, Flight, Scene, SceneError, Visit, export, plan
 from flockopt.outputs.devices.geodesy import local
+
+#: A place in UTM coordinates, and nothing there.
+FAR = Bounds((5e5 - 10, 4.6e6 - 10, 0), (5e5 + 10, 4.6e6 + 10, 5))
+NOTHING = {"tasks": (), "obstacles": ()}
 
 COMMANDS = {"waypoint": 16, "loiter": 17, "land": 21, "takeoff": 22, "speed": 178}
 
@@ -199,3 +203,13 @@ def test_the_command_line(placed, flockopt, tmp_path):
     assert (status, out) == (2, "")
     assert "scene.json: origin is missing" in err
     assert not (tmp_path / "other").exists()
+
+
+def test_a_scene_far_from_its_origin_is_no_mission(placed, tmp_path):
+    scene, made = placed
+    far = scene.replace(
+        drones=tuple(replace(drone, start=(5e5, 4.6e6, 1.0)) for drone in scene.drones[:1]), bounds=FAR, **NOTHING
+    )
+    outcome = export(replace(made, scene_sha256=far.sha256), to="qgroundcontrol", path=tmp_path / "out", scene=far)
+    assert outcome.files == ()
+    assert "drone d0 starts 4627 km from the scene's (0, 0, 0)" in outcome.misfits[0]

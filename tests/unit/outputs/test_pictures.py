@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 
-from flockopt import Curve, Flight, MissingExtra, PlanError, SettingsError, Visit, generate, show
+from flockopt import Curve, Flight, MissingExtra, PlanError, Scene, SettingsError, Visit, generate, show
 from flockopt.certificate import Certificate, Clause, Cost, Plan
 from flockopt.outputs.pictures.motion import sample_motion
 from flockopt.outputs.pictures.style import headline
@@ -94,6 +94,16 @@ def test_the_page_carries_the_flight(tmp_path):
         assert end == pytest.approx(scene.tasks[int(drone.id[1:])].position, abs=1e-6)
 
 
+def test_the_page_is_drawn_near_zero(root, tmp_path):
+    scene = Scene.load(root / "tests/cases/two-utm.json")
+    show(scene, tmp_path / "a.html", straight_plan(scene))
+    data = page_data(tmp_path / "a.html")
+    places = [data["bounds"]["upper"], *(task["position"] for task in data["tasks"]), data["obstacles"][0]["center"]]
+    assert np.abs(np.array(places)).max() <= 5.0
+    first = data["drones"][0]
+    assert [axis[0] for axis in first["coefficients"][0]] == first["start"] == [-4.0, -4.0, 1.0]
+
+
 def test_names_cannot_break_out_of_the_page(tmp_path):
     name = "</script><script>alert(1)</script><!-- __VIEW__ $x^2$"
     scene = generate("forest", drones=2, tasks=1).replace(name=name)
@@ -151,8 +161,7 @@ def test_without_matplotlib_the_extra_is_named_and_the_page_still_works(tmp_path
 
 
 def test_a_users_own_style_changes_nothing(tmp_path):
-    import matplotlib
-
+    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib comes with the extra 'show'")
     scene = generate("forest", drones=2, tasks=2)
     show(scene, tmp_path / "a.png")
     with matplotlib.rc_context({"font.size": 30, "figure.dpi": 300, "axes.grid": True}):

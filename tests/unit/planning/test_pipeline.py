@@ -42,7 +42,7 @@ def test_stages_are_reported_and_timed(scene):
 
 def test_the_hybrid_plans_where_nobody_is_named_and_it_is_ready(scene, monkeypatch):
     student = pytest.importorskip("learned.student.planner")
-    pytest.importorskip("torch")
+    pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
     assert default_planner().name == plan(scene).planner == "hybrid"
     with monkeypatch.context() as patch:
         patch.setattr(student, "WEIGHTS", student.WEIGHTS.with_name("missing.safetensors"))
@@ -99,7 +99,7 @@ def test_bad_settings_are_named(scene, settings: dict, words: str):
     ("settings", "words"),
     [
         ({"sed": 3}, "sed is an unknown key"),
-        ({"smoothing": 1}, "smoothing is 1; must be True or False"),
+        ({"smoothing": 1}, "smoothing is 1; must be true or false"),
         ({"tracking_margin_m": -0.1}, "tracking_margin_m is -0.1"),
         ({"paths": "voxel6"}, "paths is 'voxel6'; must be one of any-angle for planner 'classical'"),
         ({"planner": 7}, "planner is 7"),
@@ -135,7 +135,7 @@ def test_what_a_planner_says_of_itself_is_recorded(scene):
         bundles = PLANNERS["classical"].propose(request).bundles
         return Proposal(bundles, made_with={"weights": "abc", "backend": str(request.backend)})
 
-    made = plan(scene, planner=Planner(told), backend="torch")
+    made = plan(scene, planner=Planner(told, takes_backend=True), backend="torch")
     assert (made.settings["weights"], made.settings["backend"]) == ("abc", "torch")
 
 

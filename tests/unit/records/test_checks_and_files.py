@@ -201,3 +201,26 @@ def test_a_link_is_followed_not_replaced(tmp_path):
     files.write_whole(SceneError, tmp_path / "link", "new")
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "real").read_text() == "new"
+
+
+def test_whole_numbers_are_not_rounded_on_the_way():
+    assert checks.integer(SceneError, "n", 2**53 + 1, least=0) == 2**53 + 1
+    with pytest.raises(SceneError, match=f"n is {2**53 + 1}; must be an integer from 0 to {2**53}"):
+        checks.integer(SceneError, "n", 2**53 + 1, least=0, most=2**53)
+    with pytest.raises(SceneError, match=r"x is 3; must be a finite number > 0 and <= 2"):
+        checks.number(SceneError, "x", 3, above=0.0, most=2.0)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_byte_order_mark_is_no_fault(tmp_path, encoding):
+    path = tmp_path / "file.json"
+    path.write_text('{"name": "caf\u00e9"}', encoding=encoding)
+    assert files.read_json(SceneError, path) == files.parse_json(PlanError, "\ufeff" + '{"name": "caf\u00e9"}', "stdin")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1"])
+def test_other_encodings_are_refused(tmp_path, encoding):
+    path = tmp_path / "file.json"
+    path.write_text('{"name": "caf\u00e9"}', encoding=encoding)
+    with pytest.raises(SceneError, match="is not UTF-8 text"):
+        files.read_json(SceneError, path)
