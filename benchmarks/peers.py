@@ -46,7 +46,7 @@ def solve_pyvrp(scene: Scene, travel: Travel, time_limit_s: float, seed: int) ->
     for route in result.best.routes():
         routes[route.vehicle_type()] = tuple(visit.idx for visit in route.schedule() if visit.is_client())
     if not result.best.is_feasible():
-        return Bundles(tuple(routes), status="infeasible", reason="PyVRP found no allocation that serves all tasks")
+        return Bundles(tuple(routes), status=Status.INCOMPLETE, reason="PyVRP found no allocation that serves all tasks")
     return Bundles(tuple(routes))
 
 

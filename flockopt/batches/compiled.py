@@ -62,7 +62,8 @@ def compiled_for(*arguments: object, **options: object) -> Callable[[Callable[..
         dispatcher = njit(cache=True, no_cfunc_wrapper=True, **options)(function)
         if config.DISABLE_JIT:
             return dispatcher
-        compile_any, entry_points = dispatcher.compile, []
+        compile_any = dispatcher.compile
+        entry_points: list[Any] = []
 
         def compile_this(_: object = None) -> Any:
             with global_compiler_lock:

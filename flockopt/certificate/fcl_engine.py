@@ -204,7 +204,7 @@ def _pairs_by_gap(scene: Scene, motions: list[Motion]) -> Iterator[tuple[float, 
     lowers, uppers = np.array([box[:, 0].min(axis=0) for box in boxes]), np.array([box[:, 1].max(axis=0) for box in boxes])
     first, second = np.triu_indices(len(motions), 1)
     apart = np.maximum(np.maximum(lowers[first] - uppers[second], lowers[second] - uppers[first]), 0.0)
-    axes = np.array([_axes(scene, i, j) for i, j in zip(first, second, strict=True)]).reshape(-1, 3)
+    axes = np.array([_axes(scene, i, j) for i, j in zip(first.tolist(), second.tolist(), strict=True)]).reshape(-1, 3)
     gaps = (np.linalg.norm(apart / axes, axis=1) - 1.0) * axes[:, 0]
     for pair in np.argsort(gaps, kind="stable"):
         yield float(gaps[pair]), int(first[pair]), int(second[pair])

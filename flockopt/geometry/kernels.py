@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import ArrayLike
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for, types
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for
 from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, X, Y, Z
 from flockopt.records.arrays import FloatArray
 

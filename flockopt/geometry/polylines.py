@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
-from flockopt.batches.compiled import FLOATS_2, compiled_for, types
+from flockopt.batches.compiled import FLOATS_2, compiled_for
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
 

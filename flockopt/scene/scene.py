@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from flockopt.errors import SceneError
 from flockopt.geometry.distances import bounding_boxes, distances
 from flockopt.records import checks, files
-from flockopt.records.arrays import FloatArray
+from flockopt.records.arrays import FloatArray, IntArray
 from flockopt.scene import quantities
 from flockopt.scene.apart import check_ends_apart
 from flockopt.scene.parts import (
@@ -158,7 +158,7 @@ class Scene:
 
         return free_space(self.obstacle_table, needs, (self.bounds.lower, self.bounds.upper), self.obstacle_boxes)
 
-    def axes_between(self, one: ArrayLike, other: ArrayLike) -> FloatArray:
+    def axes_between(self, one: int | IntArray, other: int | IntArray) -> FloatArray:
         """Half axes of the ellipsoid around a drone that another drone's centre stays out of, (..., 3) m.
 
         They are the separation's, or the sum of the two radii where that is more: bodies never overlap, whatever a scene asks.
@@ -167,7 +167,7 @@ class Scene:
             one: Indices of drones.
             other: Of the others, of a shape that goes with it.
         """
-        bodies = self.radii[one] + self.radii[other]
+        bodies = np.asarray(self.radii[one]) + np.asarray(self.radii[other])
         flat = np.maximum(self.separation, bodies)
         tall = flat if self.separation_z is None else np.full_like(flat, self.separation_z)
         return np.stack([flat, flat, tall], axis=-1)

@@ -177,7 +177,7 @@ class Detours:
         for other in range(self.scene.num_drones):
             for point in (*self._anchors(other), _position(curves[other], np.inf)) if other != drone else ():
                 free &= np.logical_not(self._inside(candidates, point, drone, other))
-        free &= self._straight_ways(drone, parking, candidates)
+        free = np.logical_and(free, self._straight_ways(drone, parking, candidates))
         return candidates[int(free.argmax())] if free.any() else None
 
     def _straight_ways(self, drone: int, parking: FloatArray, candidates: FloatArray) -> FloatArray:
