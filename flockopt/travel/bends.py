@@ -59,8 +59,10 @@ def make_features(space: FreeSpace) -> Features:
     """All features of a space, in the order of its obstacles."""
     spacing = SPACING_SHARE * float((space.upper - space.lower).max())
     rows = _sample(space, feature_edges(space), spacing)
-    vectors = (np.ascontiguousarray(rows[:, column : column + 3]) for column in (POSITION, NORMAL, OTHER_NORMAL, ALONG))
-    return Features(*vectors, np.ascontiguousarray(rows[:, SLACK]), BEND_SLACK)
+    position, first, second, along = (
+        np.ascontiguousarray(rows[:, column : column + 3]) for column in (POSITION, NORMAL, OTHER_NORMAL, ALONG)
+    )
+    return Features(position, first, second, along, np.ascontiguousarray(rows[:, SLACK]), BEND_SLACK)
 
 
 def unrestricted(features: Features) -> Features:

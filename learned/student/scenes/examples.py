@@ -77,7 +77,8 @@ def example(scene: Scene, routes: Sequence[Sequence[int]], num_samples: int = 64
         if len(own) > 1:
             space = scene.free_space(scene.radii[drone] + scene.clearance)
             legs[:, drone], blocked[drone] = lay_out(space, own, straight[drone])
-    return Example(scene, tuple(tuple(route) for route in routes), *legs, straight, blocked)
+    leg_index, leg_begin, leg_end = legs
+    return Example(scene, tuple(tuple(route) for route in routes), leg_index, leg_begin, leg_end, straight, blocked)
 
 
 def unassigned(scene: Scene) -> Example:
