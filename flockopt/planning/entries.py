@@ -12,8 +12,8 @@ JUDGING = ("flockopt.geometry",)
 
 #: Packages and modules of what a plan by ``classical`` calls that nothing special is asked of.
 PLANNING = (
-    *JUDGING, "flockopt.travel", "flockopt.bundles.search", "flockopt.bundles.bounds.forest", "flockopt.flights.apart",
-    "flockopt.flights.laws.corners", "flockopt.flights.laws.fly_through",
+    *JUDGING, "flockopt.travel", "flockopt.bundles.search", "flockopt.bundles.bounds.forest", "flockopt.bundles.bounds.polyak",
+    "flockopt.flights.apart", "flockopt.flights.laws.corners", "flockopt.flights.laws.fly_through",
 )  # fmt: skip
 
 #: All packages.
