@@ -10,6 +10,7 @@ import numpy as np
 from flockopt import Scene
 from flockopt.bundles import Bundles
 from flockopt.errors import require
+from flockopt.records.status import Status
 from flockopt.travel import Travel
 
 __all__ = ["solve_pyvrp"]
