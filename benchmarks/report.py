@@ -62,7 +62,8 @@ class CsvRows:
 
 def benchmark_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
     """A command line with what every benchmark is told: its first seed, and where results go."""
-    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=(doc or "").split("\n")[0])
+    module = f"benchmarks.{name}"
+    parser = argparse.ArgumentParser(prog=f"python -m {module}", description=(doc or "").split("\n")[0])
     parser.add_argument("--seed", type=int, default=0, help="the first one; the others follow (default 0)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     return parser

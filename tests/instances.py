@@ -12,6 +12,9 @@ from flockopt.travel.travel import straight_travel
 
 SIDE_M = np.array([20.0, 20.0, 5.0])
 
+#: So small that bodies at random places do not overlap.
+RADIUS_M = 1e-3
+
 
 def random_scene(
     rng: np.random.Generator,
@@ -32,7 +35,7 @@ def random_scene(
     fleet = []
     for i in range(drones):
         end = (None, "start", point())[int(rng.integers(3))] if ends else None
-        fleet.append(Drone(f"d{i}", point(), capacities[i], 0.12, 2.0, 4.0, 30.0, end=end, max_distance=max_distance))
+        fleet.append(Drone(f"d{i}", point(), capacities[i], RADIUS_M, 2.0, 4.0, 30.0, end=end, max_distance=max_distance))
     places = [Task(f"t{j}", point(), int(rng.integers(1, 4)) if demands else 1) for j in range(tasks)]
     return Scene("random", Bounds((0.0, 0.0, 0.0), tuple(SIDE_M)), tuple(fleet), tuple(places))
 

@@ -12,7 +12,7 @@ from flockopt.certificate import Plan
 from flockopt.certificate.judge import certify
 from flockopt.errors import FlockError
 from flockopt.planning.pipeline import plan
-from flockopt.planning.planners import ANY_ANGLE, Planner, find_planner
+from flockopt.planning.planners import ANY_ANGLE, Planner
 from flockopt.planning.replan import FREEZE_S
 from flockopt.planning.settings import PlanSettings
 from flockopt.records.status import Status
@@ -133,7 +133,7 @@ class Trial:
 
     def blank_row(self) -> dict[str, Value]:
         """A row of `COLUMNS` for a flight that was not made."""
-        planner = find_planner(self.planner).name
+        planner = self.planner.name if isinstance(self.planner, Planner) else self.planner
         known = {"scene": self.key, "planner": planner, "family": self.family, "seed": self.seed, "drones": self.drones}
         nothing = {
             "status": TrialStatus.ERROR,

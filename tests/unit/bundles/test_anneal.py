@@ -141,7 +141,7 @@ def test_neighbours_are_the_nearest_in_order():
 
 def test_drones_that_are_alike_form_a_group():
     scene, travel = random_instance(np.random.default_rng(4), drones=3, tasks=5, capacity=9)
-    fleet = [dataclasses.replace(scene.drones[k], id=f"d{i}") for i, k in enumerate((0, 1, 0))]
+    fleet = [dataclasses.replace(drone, capacity=scene.drones[0].capacity) for drone in scene.drones]
     twins = scene.replace(drones=fleet)
     travel = type(travel)(travel.start_task[[0, 1, 0]], travel.task_task, travel.task_end, travel.start_end, travel.drone_class)
     problem = build_problem(twins, travel)

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from flockopt import Box, Bundles, Scene, decode, deconflict, plan
+from flockopt import Bounds, Box, Bundles, Scene, decode, deconflict, plan
 from flockopt.flights.apart.schedule import meeting_steps, schedule
 from tests.flights import check_flights, drone, make_scene, worst_separation
 
@@ -70,9 +70,14 @@ def test_an_ellipsoid_keeps_drones_out_of_each_others_downwash():
     assert result.unresolved == ()
 
 
+#: No wider than a drone needs, and each has its task where the other one starts.
+TUBE = make_scene([drone(0, (1, 5, 1)), drone(1, (9, 5, 1))], [(9, 5, 1), (1, 5, 1)]).replace(
+    bounds=Bounds((0.9, 4.9, 0.9), (9.1, 5.1, 1.1))
+)
+
+
 def test_what_cannot_be_resolved_is_named_with_pair_and_time():
-    ends = [drone(0, (1, 5, 1), end=(5, 5, 1)), drone(1, (9, 5, 1), end=(5.1, 5, 1))]
-    _, after, result = resolve(make_scene(ends, [(3, 5, 1), (7, 5, 1)]), ((0,), (1,)))
+    _, after, result = resolve(TUBE, ((0,), (1,)))
     assert after < 0.0
     (conflict,) = result.unresolved
     assert conflict.drones == ("d0", "d1")
@@ -123,12 +128,10 @@ def test_the_schedule_has_least_makespan():
     assert max(curve[0][-1] + delay for curve, delay in zip(curves, delays, strict=True)) <= best + step
 
 
-def test_no_delay_helps_two_drones_that_end_at_one_place():
-    ends = [drone(0, (1, 5, 1), end=(5, 5, 1)), drone(1, (9, 5, 1), end=(5.1, 5, 1))]
-    scene = make_scene(ends, [(3, 5, 1), (7, 5, 1)])
-    flights = decode(scene, Bundles(((0,), (1,))))
+def test_no_delay_helps_two_drones_that_change_places_in_a_tube():
+    flights = decode(TUBE, Bundles(((0,), (1,))))
     curves = [(flight.curve.breakpoints, flight.curve.coefficients) for flight in flights.values()]
-    assert schedule(curves, [True, True], scene.axes_between, 0.2, 20) is None
+    assert schedule(curves, [True, True], TUBE.axes_between, 0.2, 20) is None
 
 
 def test_a_drone_that_only_comes_to_a_halt_has_no_way_around():
