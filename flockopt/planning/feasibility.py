@@ -14,7 +14,8 @@ import numpy as np
 from flockopt.bundles import Bundles
 from flockopt.records.status import Status
 from flockopt.scene import Scene
-from flockopt.scene.apart import ROUNDING, is_grounded, least_apart, shares_apart
+from flockopt.scene.apart import is_grounded, shares_apart
+from flockopt.scene.scene import POSITION_TOLERANCE_M
 
 __all__ = ["grounded_in_the_way"]
 
@@ -46,11 +47,11 @@ def _ends_near(scene: Scene, grounded: list[int]) -> Iterator[str]:
         if drone.end is None:
             continue
         for g in grounded:
-            if shares_apart(scene, i, scene.ends[i], g, scene.starts[g : g + 1])[0] < 1.0 - ROUNDING:
+            if shares_apart(scene, i, scene.ends[i], g, scene.starts[g : g + 1])[0] < 1.0 - POSITION_TOLERANCE_M:
                 metres = math.dist(scene.ends[i], scene.starts[g])
                 yield (
                     f"drones[{i}] ({drone.id}) has its end {metres:.4g} m from where {_stands(scene, g)}, and they must keep "
-                    f"{least_apart(scene, i, g)} apart; move one of the two"
+                    f"{scene.apart_in_words(i, g)} apart; move one of the two"
                 )
 
 
@@ -61,7 +62,7 @@ def _tasks_near(scene: Scene, grounded: list[int]) -> Iterator[tuple[int, str]]:
     for g in grounded:
         for i in np.flatnonzero(able.any(axis=1)).tolist():
             shares = shares_apart(scene, i, scene.starts[g], g, scene.task_positions)
-            kept_by[i, shares < 1.0 - ROUNDING] = g
+            kept_by[i, shares < 1.0 - POSITION_TOLERANCE_M] = g
     for j in np.flatnonzero(able.any(axis=0) & (~able | (kept_by >= 0)).all(axis=0)):
         i = int(np.flatnonzero(able[:, j])[0])
         g = int(kept_by[i, j])
@@ -69,7 +70,7 @@ def _tasks_near(scene: Scene, grounded: list[int]) -> Iterator[tuple[int, str]]:
         yield (
             int(j),
             f"tasks[{j}] ({scene.tasks[j].id}) is {metres:.4g} m from where {_stands(scene, g)}, and a drone that serves it "
-            f"must keep {least_apart(scene, i, g)} apart; move one of the two, or give the drone that stands there capacity",
+            f"must keep {scene.apart_in_words(i, g)} apart; move one of the two, or give the drone that stands there capacity",
         )
 
 

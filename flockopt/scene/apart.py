@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from flockopt.errors import SceneError
 from flockopt.records.arrays import FloatArray
+from flockopt.scene.parts import Drone
+from flockopt.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from flockopt.scene.parts import Drone
-    from flockopt.scene.scene import Scene
-
-__all__ = ["check_ends_apart", "is_grounded", "least_apart", "least_resting_share", "shares_apart"]
-
-#: What rounding may take of the distance that must be kept.
-ROUNDING = 1e-9
+__all__ = ["is_grounded", "least_resting_share", "shares_apart"]
 
 
 def is_grounded(drone: Drone) -> bool:
@@ -46,24 +37,3 @@ def _shares(scene: Scene, places: FloatArray, others: NDArray[np.int64], i: int)
     """How far each of some drones is from drone i at these places (N, 3), as shares of what must be kept."""
     shares: FloatArray = np.linalg.norm((places[others] - places[i]) / scene.axes_between(others, i), axis=1)
     return shares
-
-
-def least_apart(scene: Scene, i: int, j: int) -> str:
-    """What two drones must keep, in words."""
-    flat, _, tall = scene.axes_between(i, j)
-    if flat > scene.separation:
-        return f"at least the sum of their radii ({flat:g} m)"
-    return f"at least the separation ({flat:g} m{'' if tall == flat else f', {tall:g} m upwards'})"
-
-
-def check_ends_apart(scene: Scene) -> None:
-    """Refuse two ends, those at drones' starts included, at which both drones cannot rest."""
-    with_end = np.flatnonzero(~np.isnan(scene.ends[:, 0]))
-    for rank, i in list(enumerate(with_end.tolist()))[1:]:
-        shares = _shares(scene, scene.ends, with_end[:rank], i)
-        if shares.min() < 1.0 - ROUNDING:
-            j = int(with_end[int(shares.argmin())])
-            raise SceneError(
-                f"drones[{i}].end", f"is {math.dist(scene.ends[i], scene.ends[j]):.4g} m from drones[{j}].end",
-                f"ends must be {least_apart(scene, i, j)} apart, for both drones rest there", "move one of them",
-            )  # fmt: skip

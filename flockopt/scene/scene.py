@@ -23,7 +23,6 @@ from flockopt.geometry.distances import bounding_boxes, distances
 from flockopt.records import checks, files
 from flockopt.records.arrays import FloatArray, IntArray
 from flockopt.scene import quantities
-from flockopt.scene.apart import check_ends_apart
 from flockopt.scene.parts import (
     GRAVITY_MPS2,
     LATER_DRONE_KEYS,
@@ -98,7 +97,7 @@ class Scene:
                 raise SceneError(kind, f"have a {field} of {total} in all", rule, "count in larger units")
         self._check_places()
         self._check_starts_apart()
-        check_ends_apart(self)
+        self._check_ends_apart()
 
     # -- arrays, made once and read-only --------------------------------------------------------------------
 
@@ -171,6 +170,13 @@ class Scene:
         flat = np.maximum(self.separation, bodies)
         tall = flat if self.separation_z is None else np.full_like(flat, self.separation_z)
         return np.stack([flat, flat, tall], axis=-1)
+
+    def apart_in_words(self, one: int, other: int) -> str:
+        """What two drones keep between their centres, for people."""
+        flat, _, tall = self.axes_between(one, other)
+        if flat > self.separation:
+            return f"at least the sum of their radii ({flat:g} m)"
+        return f"at least the separation ({flat:g} m{'' if tall == flat else f', {tall:g} m upwards'})"
 
     @cached_property
     def widest_axes(self) -> FloatArray:
@@ -252,6 +258,19 @@ class Scene:
                 raise SceneError(
                     field, f"is {gap.min():.4g} m from obstacle {checks.shown(culprit)}",
                     f"must be >= radius + clearance = {need:g} m away", "move it or the obstacle",
+                )  # fmt: skip
+
+    def _check_ends_apart(self) -> None:
+        """Ends, those at drones' starts included, at which two drones cannot both rest."""
+        with_end = np.flatnonzero(~np.isnan(self.ends[:, 0]))
+        for rank, i in list(enumerate(with_end.tolist()))[1:]:
+            others = with_end[:rank]
+            apart = np.linalg.norm((self.ends[others] - self.ends[i]) / self.axes_between(others, i), axis=1)
+            if apart.min() < 1 - POSITION_TOLERANCE_M:
+                j = int(others[int(apart.argmin())])
+                raise SceneError(
+                    f"drones[{i}].end", f"is {math.dist(self.ends[i], self.ends[j]):.4g} m from drones[{j}].end",
+                    f"ends must be {self.apart_in_words(i, j)} apart, for both drones rest there", "move one of them",
                 )  # fmt: skip
 
     def _check_starts_apart(self) -> None:
