@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 from scipy.sparse import csr_array
 
-from flockopt.errors import MissingExtra, SettingsError, SolverFailed
+from flockopt.errors import SettingsError, SolverFailed, require
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 
@@ -150,11 +150,7 @@ def _clarabel_transport(preferences: FloatArray, demands: FloatArray, capacities
 
 
 def _cvxpy() -> Any:
-    try:
-        import cvxpy
-    except ImportError:
-        raise MissingExtra("cvxpy", "solvers") from None
-    return cvxpy
+    return require("cvxpy", extra="solvers")
 
 
 def _solve(problem: Any) -> None:

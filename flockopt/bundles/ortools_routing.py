@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flockopt.bundles.request import RouteTuple
-from flockopt.errors import MissingExtra, SolverFailed
+from flockopt.errors import SolverFailed, require
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -56,10 +56,8 @@ def route_with_ortools(
         MissingExtra: If OR-Tools is not installed.
         SolverFailed: If it finds no solution, which leaving tasks out always makes possible.
     """
-    try:
-        from ortools.constraint_solver import pywrapcp, routing_enums_pb2
-    except ImportError:
-        raise MissingExtra("ortools", "solvers") from None
+    pywrapcp: Any = require("ortools.constraint_solver.pywrapcp", extra="solvers")
+    enums: Any = require("ortools.constraint_solver.routing_enums_pb2", extra="solvers")
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
     starts = [num_tasks + drone for drone in range(num_drones)]
     ends = [num_tasks + num_drones + drone for drone in range(num_drones)]
@@ -80,8 +78,8 @@ def route_with_ortools(
     for task in range(num_tasks):
         model.AddDisjunction([manager.NodeToIndex(task)], LEFT_OUT)
     settings = pywrapcp.DefaultRoutingSearchParameters()
-    settings.first_solution_strategy = routing_enums_pb2.FirstSolutionStrategy.PARALLEL_CHEAPEST_INSERTION
-    settings.local_search_metaheuristic = routing_enums_pb2.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
+    settings.first_solution_strategy = enums.FirstSolutionStrategy.PARALLEL_CHEAPEST_INSERTION
+    settings.local_search_metaheuristic = enums.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
     if solutions is not None:
         settings.solution_limit = max(solutions, 1)
     if time_limit_s is not None or solutions is None:

@@ -12,7 +12,7 @@ from contextlib import contextmanager, redirect_stdout
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-from flockopt.errors import MissingExtra, SolverFailed
+from flockopt.errors import SolverFailed, require
 
 if TYPE_CHECKING:
     import viser
@@ -29,11 +29,7 @@ def load_viser() -> Any:
     Raises:
         MissingExtra: If it is not installed.
     """
-    try:
-        import viser
-    except ImportError:
-        raise MissingExtra("viser", "live") from None
-    return viser
+    return require("viser", extra="live")
 
 
 def local_server(port: int, label: str) -> viser.ViserServer:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
 from flockopt.batches.compiled import FLOATS_1, FLOATS_3, compiled_for
-from flockopt.errors import MissingExtra, SolverFailed
+from flockopt.errors import SolverFailed, require
 from flockopt.geometry.continuous import first_conflict
 from flockopt.records.arrays import FloatArray
 
@@ -98,10 +99,7 @@ def _solve(
     tables: dict[tuple[int, int], NDArray[np.bool_]], durations: Sequence[float], moving: Sequence[bool], most: int
 ) -> NDArray[np.int64] | None:
     """Delays in steps that keep every tabulated pair apart, or None."""
-    try:
-        from ortools.sat.python import cp_model
-    except ImportError:
-        raise MissingExtra("ortools", "solvers") from None
+    cp_model: Any = require("ortools.sat.python.cp_model", extra="solvers")
     model = cp_model.CpModel()
     delays = [model.new_int_var(0, most if moves else 0, f"delay_{i}") for i, moves in enumerate(moving)]
     makespan = model.new_int_var(0, int(max(durations)) + most + 2, "makespan")

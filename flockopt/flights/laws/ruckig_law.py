@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from flockopt.errors import MissingExtra, SolverFailed
+from flockopt.errors import SolverFailed, require
 from flockopt.flights.laws import fly_through
 from flockopt.flights.laws.corner_speeds import SHORTEST_PHASE_S, corner_speeds, must_be_simple, peak_speed, ramp_seconds
 from flockopt.flights.room import MOST_PIECES
@@ -42,10 +42,7 @@ class _Profiles:
     """
 
     def __init__(self, limits: FloatArray) -> None:
-        try:
-            import ruckig
-        except ImportError:
-            raise MissingExtra("ruckig", "trajectory") from None
+        ruckig = require("ruckig", extra="trajectory")
         self.limits = limits
         self._interface = ruckig.ControlInterface
         self._solver, self._trajectory = ruckig.Ruckig(1), ruckig.Trajectory(1)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flockopt.errors import MissingExtra, SolverFailed
+from flockopt.errors import SolverFailed, require
 from flockopt.flights.smoothing.stages import TERMS, hermite
 from flockopt.records.arrays import FloatArray
 
@@ -79,11 +79,7 @@ def load_casadi() -> Any:
     Raises:
         MissingExtra: If it is not installed.
     """
-    try:
-        import casadi
-    except ImportError:
-        raise MissingExtra("casadi", "trajectory") from None
-    return casadi
+    return require("casadi", extra="trajectory")
 
 
 @dataclass(frozen=True)

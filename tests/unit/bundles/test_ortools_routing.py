@@ -78,6 +78,6 @@ def test_the_assignment_follows_preferences():
 
 def test_without_or_tools_the_extra_is_named(monkeypatch):
     scene, travel = case(0)
-    monkeypatch.setitem(sys.modules, "ortools.constraint_solver", None)
+    monkeypatch.setitem(sys.modules, "ortools.constraint_solver.pywrapcp", None)
     with pytest.raises(MissingExtra, match=r"ortools.*solvers"):
         refine_bundles(scene, travel=travel, method="cvrp")

@@ -106,7 +106,7 @@ def test_all_changing_places_across_a_circle():
 
 
 def test_without_the_scheduling_model_drones_wait_one_after_another(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ortools.sat.python", None)
+    monkeypatch.setitem(sys.modules, "ortools.sat.python.cp_model", None)
     before, after, result = resolve(*PLANTED["eight through one door"])
     assert before < 0.0 <= after
     assert result.unresolved == ()
