@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import copy
 import json
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
 
 from flockopt import MissingExtra, Scene
+
+with suppress(ImportError):  # a machine that only plans has no hypothesis
+    from hypothesis import settings
+
+    settings.register_profile("repeatable", derandomize=True)  # a change fails for what it changes, not for its luck
+    settings.load_profile("repeatable")
 
 ROOT = Path(__file__).resolve().parent.parent
 
