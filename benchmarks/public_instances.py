@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -21,6 +21,7 @@ from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdow
 from flockopt import Bounds, Drone, Scene, SettingsError, Task, refine_bundles
 from flockopt.cli.status import run_command
 from flockopt.records.arrays import FloatArray
+from flockopt.travel import Travel
 from flockopt.travel.travel import straight_travel
 
 __all__ = ["Instances", "main"]
@@ -28,6 +29,9 @@ __all__ = ["Instances", "main"]
 COLUMNS = ("instance", "method", "seconds", "cost", "pyvrp_cost", "ortools_cost")
 NUM_DEPOTS = 3
 FIELDS = ("locations", "demands", "capacity", "depots", "pyvrp_cost", "ortools_cost")
+
+#: Bodies do not overlap, so a depot's drones stand on top of each other, a hair apart.
+RADIUS_M, APART_M = 1e-6, 3e-6
 
 #: Drones at each depot, as a multiple of the vehicles that the total demand takes: more than any good solution uses.
 DRONES_PER_NEED = 2
@@ -76,14 +80,22 @@ class Instances:
         places = np.column_stack([self.locations[index].astype(np.float64), np.zeros(self.locations.shape[1])])
         demands = self.demands[index].astype(int)
         fleet = DRONES_PER_NEED * -(-int(demands.sum()) // self.capacity)
-        radius, speed, acceleration, jerk = 1e-3, 1.0, 1.0, 1.0
+        speed, acceleration, jerk = 1.0, 1.0, 1.0
         drones = [
-            Drone(f"depot-{depot}-{k}", tuple(places[depot]), self.capacity, radius, speed, acceleration, jerk)
+            Drone(
+                f"depot-{depot}-{k}", (*places[depot, :2].tolist(), APART_M * k), self.capacity, RADIUS_M, speed, acceleration, jerk
+            )
             for depot in range(NUM_DEPOTS)
             for k in range(fleet)
-        ]
+        ]  # fmt: skip
         tasks = [Task(f"t{j}", tuple(place), int(demands[j])) for j, place in enumerate(places[NUM_DEPOTS:])]
         return Scene(f"mdovrp-{index}", Bounds((-1, -1, -1), (2, 2, 1)), tuple(drones), tuple(tasks))
+
+
+def _from_depots(travel: Travel) -> Travel:
+    """The travel of vehicles that all set off at their depot: as of its first drone, which stands right there."""
+    fleet = len(travel.start_task) // NUM_DEPOTS
+    return replace(travel, start_task=np.repeat(travel.start_task[::fleet], fleet, axis=0))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -130,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
 def _solve(instances: Instances, index: int, options: argparse.Namespace) -> Record:
     """Solve one instance; its cost is recomputed from the distances and the routes, served tasks counted."""
     scene = instances.scene(index)
-    travel = straight_travel(scene)
+    travel = _from_depots(straight_travel(scene))
     began = perf_counter()
     bundles = refine_bundles(scene, travel=travel, method=options.method, time_limit_s=options.seconds, seed=options.seed)
     seconds = perf_counter() - began
