@@ -82,12 +82,10 @@ class Instances:
         fleet = DRONES_PER_NEED * -(-int(demands.sum()) // self.capacity)
         speed, acceleration, jerk = 1.0, 1.0, 1.0
         drones = [
-            Drone(
-                f"depot-{depot}-{k}", (*places[depot, :2].tolist(), APART_M * k), self.capacity, RADIUS_M, speed, acceleration, jerk
-            )
-            for depot in range(NUM_DEPOTS)
+            Drone(f"depot-{depot}-{k}", (x, y, APART_M * k), self.capacity, RADIUS_M, speed, acceleration, jerk)
+            for depot, (x, y, _) in enumerate(places[:NUM_DEPOTS].tolist())
             for k in range(fleet)
-        ]  # fmt: skip
+        ]
         tasks = [Task(f"t{j}", tuple(place), int(demands[j])) for j, place in enumerate(places[NUM_DEPOTS:])]
         return Scene(f"mdovrp-{index}", Bounds((-1, -1, -1), (2, 2, 1)), tuple(drones), tuple(tasks))
 
