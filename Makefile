@@ -52,6 +52,7 @@ demo: $(COMPILED)  ## plan real city blocks in Rotterdam: a table here; the plan
 		--show out/rotterdam.png --show out/rotterdam.html
 
 test: $(READY)  ## run the tests
+	@$(RUN) -m flockopt compile
 	$(RUN) -m pytest
 
 test-slow: $(READY)  ## run the tests that take longer

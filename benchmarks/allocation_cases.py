@@ -17,6 +17,9 @@ __all__ = ["AllocationCase", "uniform_scene"]
 #: The space of scenes without obstacles.
 SIZE_M = (20.0, 20.0, 5.0)
 
+#: So small that bodies at random places do not overlap; allocations do not depend on it.
+RADIUS_M = 1e-3
+
 
 @dataclass(frozen=True)
 class AllocationCase:
@@ -51,7 +54,7 @@ def uniform_scene(drones: int, tasks: int, seed: int) -> Scene:
     rng = np.random.default_rng(seed)
     starts, places = (rng.uniform(0.0, 1.0, (count, 3)) * SIZE_M for count in (drones, tasks))
     capacity = math.ceil(tasks / drones) + 1
-    fleet = [Drone(f"d{i}", tuple(start.tolist()), capacity, 0.12, 2.0, 4.0, 30.0) for i, start in enumerate(starts)]
+    fleet = [Drone(f"d{i}", tuple(start.tolist()), capacity, RADIUS_M, 2.0, 4.0, 30.0) for i, start in enumerate(starts)]
     return Scene(
         f"uniform-{seed}",
         Bounds((0.0, 0.0, 0.0), SIZE_M),
