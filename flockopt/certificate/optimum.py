@@ -25,6 +25,9 @@ __all__ = ["Offers", "least_travel"]
 #: Routes listed, and steps of the search for them, at most: enough for 20 drones and 60 tasks under good prices.
 MOST_ROUTES, MOST_STEPS = 100_000, 20_000_000
 
+#: Branches of the choice among them at most: what is proven by then counts, so that no plan keeps its judge for long.
+MOST_BRANCHES = 10_000
+
 #: Slack lost to rounding, metres: routes this far beyond are listed too.
 ROUNDING_M = 1e-6
 
@@ -95,17 +98,17 @@ Route = tuple[int, int, float]
 
 def _routes(offers: list[Offers], prices: FloatArray, demands: NDArray[np.int64], gap: float) -> Iterator[Route]:
     """The shortest route of each drone over each set of tasks, if its slack is within the gap."""
-    room = MOST_ROUTES
+    room, steps = MOST_ROUTES, MOST_STEPS
     for drone, offer in enumerate(offers):
         shortest: dict[int, float] = {}
-        tasks, lengths, count = _list_routes(
+        tasks, lengths, count, taken = _list_routes(
             offer.starts, offer.between, offer.ends, offer.rests, prices, demands, offer.capacity,
-            offer.least + gap, offer.longest, room, MOST_STEPS,
+            offer.least + gap, offer.longest, room, steps,
         )  # fmt: skip
         if count < 0:
             rule = f"at most {MOST_ROUTES} routes may lie between its prices and its value"
             raise PlanError("dual", "proves too little to recheck", rule, 'claim the bound of its prices: kind "ng-route"')
-        room -= count
+        room, steps = room - count, steps - taken
         for row, length in zip(tasks[:count], lengths[:count], strict=True):
             members = sum(1 << int(task) for task in row if task >= 0)
             if length < shortest.get(members, np.inf):
@@ -127,14 +130,14 @@ def _cheapest_cover(routes: list[Route], offers: list[Offers], num_tasks: int) -
     serves = csc_array((np.ones(first[-1]), np.concatenate(rows), first), shape=shape)
     must_fly = [float(not offer.may_idle) for offer in offers]
     limits = LinearConstraint(serves, np.concatenate([np.ones(num_tasks), must_fly]), 1.0)
-    # HiGHS's presolve has returned wrong optima before (see tests/known/test_exact_brute_force.py's frozen instance)
+    # HiGHS's presolve has returned wrong optima before (frozen in tests/oracle/test_exact_oracle.py)
     answer = milp(
         np.array([cost for *_, cost in routes]), integrality=np.ones(len(routes)), bounds=Bounds(0.0, 1.0),
-        constraints=limits, options={"presolve": False, "mip_rel_gap": 0.0},
+        constraints=limits, options={"presolve": False, "mip_rel_gap": 0.0, "node_limit": MOST_BRANCHES},
     )  # fmt: skip
     if answer.status == 2:  # infeasible
         return np.inf
-    if answer.status != 0 or answer.mip_dual_bound is None:
+    if answer.status not in (0, 1) or answer.mip_dual_bound is None:  # optimal, or out of branches
         raise SolverFailed("HiGHS (scipy)", answer.message)
     return float(answer.mip_dual_bound)
 
@@ -146,11 +149,12 @@ def _cheapest_cover(routes: list[Route], offers: list[Offers], num_tasks: int) -
 def _list_routes(
     starts: FloatArray, between: FloatArray, ends: FloatArray, rests: FloatArray, prices: FloatArray,
     demands: NDArray[np.int64], capacity: int, most_cost: float, longest: float, most_routes: int, most_steps: int,
-) -> tuple[NDArray[np.int16], FloatArray, int]:  # fmt: skip
+) -> tuple[NDArray[np.int16], FloatArray, int, int]:  # fmt: skip
     """Routes (R, K) of one drone whose priced cost is at most ``most_cost``, -1 after the last task, and their metres (R,).
 
-    The third is their number, -1 where a limit is passed. Depth first: ``tried[depth]`` is the task that is looked at next
-    there. What is flown up to a task, priced without it, and the cheapest rest from it on bound every route through it.
+    The third is their number, -1 where a limit is passed; the fourth is how many steps that took. Depth first:
+    ``tried[depth]`` is the task that is looked at next there. What is flown up to a task, priced without it, and the
+    cheapest rest from it on bound every route through it.
     """
     num = len(starts)
     routes, lengths = np.full((64, max(capacity, 1)), -1, np.int16), np.empty(64)
@@ -171,14 +175,14 @@ def _list_routes(
             continue
         steps += 1
         if steps > most_steps:
-            return routes, lengths, -1
+            return routes, lengths, -1, steps
         there = flown[depth] + (starts[task] if depth == 0 else between[path[depth - 1], task])
         if not there <= longest or not there - earned[depth] + rests[left, task] <= most_cost:
             continue
         path[depth], on_route[task] = task, True
         if there + ends[task] <= longest and there + ends[task] - earned[depth] - prices[task] <= most_cost:
             if count >= most_routes:
-                return routes, lengths, -1
+                return routes, lengths, -1, steps
             if count == len(routes):
                 more, longer = np.full((2 * count, routes.shape[1]), -1, np.int16), np.empty(2 * count)
                 more[:count], longer[:count] = routes, lengths
@@ -191,4 +195,4 @@ def _list_routes(
         tried[depth] = 0
         load[depth], flown[depth] = load[depth - 1] + demands[task], there
         earned[depth] = earned[depth - 1] + prices[task]
-    return routes, lengths, count
+    return routes, lengths, count, steps

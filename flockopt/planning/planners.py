@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 from flockopt.bundles import Bound, Bundles
 from flockopt.bundles.refine import refine_bundles
-from flockopt.errors import PlanError, SettingsError
+from flockopt.errors import PlanError, SettingsError, SolverFailed
 from flockopt.flights import Flight
 from flockopt.records import checks
 from flockopt.records.arrays import FloatArray
@@ -156,7 +156,7 @@ def _prove(request: Request) -> Proposal:
         claim = Bound("optimum", result.proven, bound.dual)
         try:
             proven = recompute_bound(request.scene, request.travel, claim)
-        except PlanError:  # too many routes to list again: the bound of the prices alone is claimed then
+        except (PlanError, SolverFailed):  # too much to find again: the bound of the prices alone is claimed then
             proven = bound.value
         bound = claim if proven == claim.value else bound
     return Proposal(result.bundles, bound=bound)

@@ -160,3 +160,16 @@ def test_drones_that_cannot_idle_are_flown():
     best = cheapest_travel(scene, travel)
     assert recompute_bound(scene, travel, Bound("optimum", best, np.zeros(3))) == best
     assert recompute_bound(scene, travel, Bound("optimum", best + 5.0, np.zeros(3))) == pytest.approx(best)
+
+
+def test_rechecking_ends_where_its_budget_does(monkeypatch):
+    """Routes that take too many steps to list are refused; a choice out of branches proves what it had proven by then."""
+    scene, travel = random_instance(np.random.default_rng(2), drones=2, tasks=5, capacity=5)
+    claim = Bound("optimum", 1e9, np.zeros(5))
+    best = recompute_bound(scene, travel, claim)
+    with monkeypatch.context() as patch:
+        patch.setattr(optimum, "MOST_BRANCHES", 1)
+        assert recompute_bound(scene, travel, claim) <= best + 1e-9
+    monkeypatch.setattr(optimum, "MOST_STEPS", 50)
+    with pytest.raises(PlanError, match="dual proves too little to recheck"):
+        recompute_bound(scene, travel, claim)
