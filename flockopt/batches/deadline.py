@@ -78,7 +78,7 @@ class Deadline:
             end, began = min(begin + size, rounds), perf_counter()
             yield begin, end
             pace = SLICE_S / max(perf_counter() - began, 1e-9)
-            size = max(1, int(min(GROWTH * size, pace * (end - begin))))
+            size = max(1, round(min(GROWTH * size, pace * (end - begin))))
             begin = end
 
 
