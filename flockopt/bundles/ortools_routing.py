@@ -6,6 +6,10 @@ OR-Tools counts in integers: every distance goes through `in_units`, which round
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -103,7 +107,11 @@ def _matrix(scene: Scene, travel: Travel, kind: int) -> NDArray[np.int64]:
 def _solve(model: Any, manager: Any, settings: Any, warm_start: RouteTuple, num_tasks: int) -> RouteTuple:
     model.CloseModelWithParameters(settings)
     first = model.ReadAssignmentFromRoutes([list(route) for route in warm_start], True) if warm_start else None
-    solution = model.SolveFromAssignmentWithParameters(first, settings) if first else model.SolveWithParameters(settings)
+    with _interrupts() as interrupted:
+        model.AddSearchMonitor(model.solver().CustomLimit(lambda: bool(interrupted)))
+        solution = model.SolveFromAssignmentWithParameters(first, settings) if first else model.SolveWithParameters(settings)
+    if interrupted:
+        raise KeyboardInterrupt
     if solution is None:
         raise SolverFailed("OR-Tools routing", f"no solution, status {model.status()}")
     routes = []
@@ -114,3 +122,17 @@ def _solve(model: Any, manager: Any, settings: Any, warm_start: RouteTuple, num_
             index = solution.Value(model.NextVar(index))
         routes.append(tuple(route))
     return tuple(routes)
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Interrupts from the keyboard while the solver runs, which keeps Python from acting on them."""
+    seen: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield seen
+        return
+    before = signal.signal(signal.SIGINT, lambda number, _: seen.append(number))
+    try:
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, before)

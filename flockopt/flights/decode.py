@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.bundles import Bundles
 from flockopt.errors import SettingsError
 from flockopt.flights.curve import Curve, Flight
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = ["LAWS", "Law", "decode", "fly"]
 
+#: What it does, for those who give it a deadline.
+DOING = "making flights of the routes"
+
 #: Seconds a drone that serves a task where it stands is given for it.
 SHORTEST_FLIGHT_S = 0.1
 
@@ -41,6 +45,7 @@ def decode(
     *,
     travel: Travel | None = None,
     law: str = "fly-through",
+    deadline: Deadline = NEVER,
 ) -> dict[str, Flight]:
     """Smooth flights through ordered bundles.
 
@@ -51,6 +56,7 @@ def decode(
             the any-angle paths.
         travel: The scene's travel, if it is already there.
         law: How progress along the way is timed; see `LAWS`.
+        deadline: When to give up.
 
     Returns:
         A flight for every drone that moves or serves a task, by drone id, all beginning at t = 0. Position, velocity
@@ -61,6 +67,7 @@ def decode(
         SettingsError: On an unknown law, one that starts from rest for a drone in motion, bundles for another fleet,
             or samples of a wrong shape or with a NaN.
         MissingExtra: If the law is "ruckig" and ruckig is not installed.
+        OutOfTime: If the deadline passes.
     """
     chosen = _chosen_law(scene, law)
     if len(bundles) != scene.num_drones:
@@ -70,6 +77,7 @@ def decode(
     travel = compute_travel(scene) if travel is None else travel
     flights, ways = {}, {}
     for index, (drone, route) in enumerate(zip(scene.drones, bundles, strict=True)):
+        deadline.check(DOING)
         if control is None:
             waypoints = waypoints_from_paths(scene, travel, index, route)
         else:
@@ -78,7 +86,7 @@ def decode(
             ways[index] = waypoints
         elif route or np.any(drone.velocity):
             flights[drone.id] = _stay(scene, drone, waypoints)
-    flights |= chosen.fly(scene, ways)
+    flights |= chosen.fly(scene, ways, deadline)
     return {drone.id: flights[drone.id] for drone in scene.drones if drone.id in flights}
 
 
@@ -123,21 +131,25 @@ class Law:
     """A way to make flights of waypoints.
 
     Attributes:
-        fly: From the waypoints that move, by drone index, to flights by drone id.
+        fly: From the waypoints that move, by drone index, to flights by drone id, by a deadline.
         from_samples: How a proposal's samples become waypoints.
         from_rest: Whether drones that move already are refused.
     """
 
-    fly: Callable[[Scene, Mapping[int, Waypoints]], dict[str, Flight]]
+    fly: Callable[[Scene, Mapping[int, Waypoints], Deadline], dict[str, Flight]]
     from_samples: Callable[[Scene, Travel, int, Sequence[int], FloatArray], Waypoints] = waypoints_from_samples
     from_rest: bool = False
 
 
-def _fly_through(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
-    return {scene.drones[index].id: fly(scene, scene.drones[index], waypoints) for index, waypoints in ways.items()}
+def _fly_through(scene: Scene, ways: Mapping[int, Waypoints], deadline: Deadline) -> dict[str, Flight]:
+    flights = {}
+    for index, waypoints in ways.items():
+        deadline.check(DOING)
+        flights[scene.drones[index].id] = fly(scene, scene.drones[index], waypoints)
+    return flights
 
 
-def _quintic(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
+def _quintic(scene: Scene, ways: Mapping[int, Waypoints], deadline: Deadline) -> dict[str, Flight]:
     from flockopt.flights.laws.quintic import decode_quintic
 
     return decode_quintic(scene, ways).flights
@@ -149,11 +161,12 @@ def _quintic_samples(scene: Scene, travel: Travel, drone: int, route: Sequence[i
     return corrected_samples(scene, travel, drone, route, samples)
 
 
-def _ruckig(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
+def _ruckig(scene: Scene, ways: Mapping[int, Waypoints], deadline: Deadline) -> dict[str, Flight]:
     from flockopt.flights.laws import ruckig_law
 
     flights = {}
     for index, waypoints in ways.items():
+        deadline.check(DOING)
         drone = scene.drones[index]
         flight = fly(scene, drone, waypoints, law=ruckig_law.fly_polyline)
         if flight.curve.num_pieces > MOST_PIECES:
