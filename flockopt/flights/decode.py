@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ from flockopt.bundles import Bundles
 from flockopt.errors import SettingsError
 from flockopt.flights.curve import Curve, Flight
 from flockopt.flights.room import MOST_PIECES, Room
-from flockopt.flights.waypoints import FLY_THROUGH, Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
+from flockopt.flights.waypoints import Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Scene
 from flockopt.travel import Travel
@@ -85,7 +86,7 @@ def decode(
         if waypoints.moves:
             ways[index] = waypoints
         elif route or np.any(drone.velocity):
-            flights[drone.id] = _stay(scene, drone, waypoints)
+            flights[drone.id] = fly(scene, drone, waypoints)
     flights |= chosen.fly(scene, ways, deadline)
     return {drone.id: flights[drone.id] for drone in scene.drones if drone.id in flights}
 
@@ -112,17 +113,24 @@ def fly(
         avoided: (K, 9) more obstacle rows to keep clear of, or None.
         law: What flies a polyline; None for the fly-through law, `flockopt.flights.laws.fly_through.fly_polyline`.
     """
-    from flockopt.flights.laws.attempt import first_trial, mend_faults, merge_close_corners, save_pieces
+    from flockopt.flights.laws.attempt import first_trial, halting_ways, mend_faults, merge_close_corners, save_pieces
     from flockopt.flights.laws.fly_through import fly_polyline
 
-    if not waypoints.moves:
-        return _stay(scene, drone, waypoints)
-    room = Room.around(scene, drone, waypoints, avoided)
-    trial = first_trial(waypoints, room, law or fly_polyline)
-    trial = merge_close_corners(trial)
-    trial = mend_faults(trial)
-    if drone.max_distance is not None and Curve(trial.breakpoints, trial.coefficients).length > drone.max_distance:
-        trial = trial.again(waypoints).stopping()
+    chosen, room = law or fly_polyline, Room.around(scene, drone, waypoints, avoided)
+    if not waypoints.moves and not room.in_motion:
+        return _stay(waypoints, scene)
+    ways = [waypoints] if waypoints.moves else []
+    halting = halting_ways(waypoints, room, bool(waypoints.tasks[0]) or drone.end is not None) if room.in_motion else ()
+    trials = []
+    for way in chain(ways, halting):
+        trial = mend_faults(merge_close_corners(first_trial(way, room, chosen)))
+        if drone.max_distance is not None and Curve(trial.breakpoints, trial.coefficients).length > drone.max_distance:
+            trial = trial.again(way).stopping()
+        trials.append(trial)
+        if not room.in_motion or trial.is_flyable:
+            break
+    else:
+        trial = trials[0]
     return save_pieces(trial).flight(scene)
 
 
@@ -184,17 +192,8 @@ LAWS: dict[str, Law] = {
 }
 
 
-def _stay(scene: Scene, drone: Drone, waypoints: Waypoints) -> Flight:
-    """The flight of a drone that serves its tasks where it stands, or brakes to a halt and returns."""
-    from flockopt.flights.laws.attempt import Trial
-    from flockopt.flights.laws.fly_through import fly_polyline
-
-    if np.any(drone.velocity) or np.any(drone.acceleration):
-        start = waypoints.points[0]
-        there = start + np.array(drone.velocity) * drone.max_speed / drone.flyable_acceleration
-        rest_s = np.array([FLY_THROUGH, FLY_THROUGH, 0.0])
-        loop = Waypoints(np.array([start, there, start]), rest_s, ((), (), waypoints.tasks[0]))
-        return Trial.make(loop, Room.around(scene, drone, loop), fly_polyline).flight(scene)
+def _stay(waypoints: Waypoints, scene: Scene) -> Flight:
+    """The flight of a drone that serves its tasks where it stands."""
     seconds = max(float(waypoints.rest_s[0]), SHORTEST_FLIGHT_S)
     curve = Curve(np.array([0.0, seconds]), waypoints.points[0].reshape(1, 3, 1))
     return Flight(curve, waypoints.visits(scene, np.zeros(1)))

@@ -26,6 +26,9 @@ __all__ = ["plan"]
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
 ALLOCATION_SHARE = 0.7
 
+#: What is all but done may end so much later than a time limit, seconds: so small scenes are planned under any limit.
+GRACE_S = 0.05
+
 #: The same of planning where a plan is handed back into another frame, and judged there once more.
 PLANNING_SHARE = 0.85
 
@@ -59,7 +62,8 @@ def plan(scene: Scene, settings: PlanSettings | None = None, *, progress: Report
     planner.check(settings.paths, settings.backend)
     if settings.smoothing:
         load_casadi()
-    clock = Clock(progress, Deadline.after(settings.time_limit_s))
+    limit_s = settings.time_limit_s
+    clock = Clock(progress, Deadline.after(None if limit_s is None else limit_s + GRACE_S))
     workplace = Workplace.of(scene)
     hopeless = grounded_in_the_way(workplace.scene)
     if hopeless is not None:
@@ -99,7 +103,7 @@ def _asked(
     with clock.stage(stage, 0.1):
         margin_m, left_s = settings.tracking_margin_m, None
         if not clock.deadline.is_never:
-            left_s = max(ALLOCATION_SHARE * clock.deadline.left_s, LEAST_ALLOCATION_S)
+            left_s = max(ALLOCATION_SHARE * (clock.deadline.left_s - GRACE_S), LEAST_ALLOCATION_S)
         request = Request(scene, travel, left_s, settings.seed, settings.paths, margin_m, settings.backend)
         proposal = planner.propose(request)
     clock.seconds.update({"generate": 0.0, **proposal.timing})
