@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flockopt.batches.deadline import Deadline
 from flockopt.bundles.request import RouteTuple
 from flockopt.errors import SolverFailed, require
 from flockopt.records.arrays import FloatArray
@@ -60,6 +61,7 @@ def route_with_ortools(
         MissingExtra: If OR-Tools is not installed.
         SolverFailed: If it finds no solution, which leaving tasks out always makes possible.
     """
+    deadline = Deadline.after(DEFAULT_SECONDS if time_limit_s is None and solutions is None else time_limit_s)
     pywrapcp: Any = require("ortools.constraint_solver.pywrapcp", extra="solvers")
     enums: Any = require("ortools.constraint_solver.routing_enums_pb2", extra="solvers")
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
@@ -86,8 +88,8 @@ def route_with_ortools(
     settings.local_search_metaheuristic = enums.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
     if solutions is not None:
         settings.solution_limit = max(solutions, 1)
-    if time_limit_s is not None or solutions is None:
-        settings.time_limit.FromMilliseconds(max(int(1e3 * (DEFAULT_SECONDS if time_limit_s is None else time_limit_s)), 1))
+    if not deadline.is_never:
+        settings.time_limit.FromMilliseconds(max(int(1e3 * deadline.left_s), 1))
     return _solve(model, manager, settings, warm_start, num_tasks)
 
 

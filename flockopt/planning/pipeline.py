@@ -10,6 +10,7 @@ from flockopt.bundles import Bound, Bundles
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.certificate import Plan
 from flockopt.flights.smoothing.casadi_program import load_casadi
+from flockopt.planning.entries import PLANNING, entries_of
 from flockopt.planning.feasibility import grounded_in_the_way
 from flockopt.planning.finish import Clock, DecodedFlights, GivenFlights, Reporter, draft, finish, out_of_time
 from flockopt.planning.planners import Planner, Proposal, Request, find_planner
@@ -63,6 +64,9 @@ def plan(scene: Scene, settings: PlanSettings | None = None, *, progress: Report
     if settings.smoothing:
         load_casadi()
     limit_s = settings.time_limit_s
+    if limit_s is not None:
+        for entry in entries_of(PLANNING).values():
+            entry.compile()
     clock = Clock(progress, Deadline.after(None if limit_s is None else limit_s + GRACE_S))
     workplace = Workplace.of(scene)
     hopeless = grounded_in_the_way(workplace.scene)
