@@ -127,9 +127,7 @@ def first_prices(scene: Scene, travel: Travel, upper: float = math.inf) -> Float
     return _forest(scene, travel, upper, None, NEVER)[1]
 
 
-def _forest(
-    scene: Scene, travel: Travel, upper: float, rounds: int | None, deadline: Deadline
-) -> tuple[Bound, FloatArray]:
+def _forest(scene: Scene, travel: Travel, upper: float, rounds: int | None, deadline: Deadline) -> tuple[Bound, FloatArray]:
     """The forest's bound, and prices of tasks (M,) for routes."""
     num_tasks, num = scene.num_tasks, scene.num_tasks + scene.num_drones
     if rounds is None:

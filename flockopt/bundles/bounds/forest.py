@@ -139,7 +139,7 @@ def relax(
             cost (Bird 1976), so no route earns more from these shares than it costs, and they are prices of routes that prove
             the bound for any number of drones.
     """
-    num_drones, num = starts.shape
+    num = starts.shape[1]
     roots, owners = np.empty(num), np.empty(num, np.int64)
     degrees, rooted = np.empty(num, np.int64), np.empty(num, np.bool_)
     _roots(starts, prices[num:], roots, owners)

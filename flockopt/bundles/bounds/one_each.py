@@ -31,7 +31,7 @@ class OneEach:
 
 def carries_one_at_most(scene: Scene) -> bool:
     """Whether even the two lightest tasks are too much for any drone."""
-    return bool(scene.num_tasks) and np.sort(scene.demands)[:2].sum() > scene.capacities.max() or scene.num_tasks == 1
+    return scene.num_tasks == 1 or bool(np.sort(scene.demands)[:2].sum() > scene.capacities.max())
 
 
 def match_one_each(scene: Scene, travel: Travel, longest: FloatArray | float = np.inf) -> OneEach | None:
@@ -64,15 +64,15 @@ def match_one_each(scene: Scene, travel: Travel, longest: FloatArray | float = n
 def _prices(costs: FloatArray, drones: np.ndarray, tasks: np.ndarray) -> FloatArray:
     """(M,) prices that prove an assignment optimal: shortest ways in the graph of exchanges (Bellman, Ford).
 
-    What a drone gains by its task is what it would save others by taking over one of theirs; drones without a task gain nothing.
+    What a drone loses by its task is what it would save others by taking over one of theirs; one without a task loses nothing.
     """
-    gains = np.zeros(len(costs))  # of drones, at most 0
+    losses = np.zeros(len(costs))  # of drones, at most 0
     extra = costs[:, tasks] - costs[drones, tasks]  # (N, M) m, for taking over from the drone that serves the task
     for _ in range(len(tasks)):
-        better = np.minimum(gains, (extra + gains[drones]).min(axis=1))
-        if (better == gains).all():
+        better = np.minimum(losses, (extra + losses[drones]).min(axis=1))
+        if (better == losses).all():
             break
-        gains = better
+        losses = better
     prices = np.empty(len(tasks))
-    prices[tasks] = costs[drones, tasks] - gains[drones]
+    prices[tasks] = costs[drones, tasks] - losses[drones]
     return np.maximum(prices, 0.0)

@@ -129,10 +129,10 @@ def grow(group: DroneGroup, prices: FloatArray, initial: FloatArray | None = Non
     first, cheapest, room = np.zeros(num_loads * num + 1, np.int64), np.full(num_loads, np.inf), 64 * num
     labels = np.empty(room), np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
     loads = 1 + SLICE_PAIRS // max(num * num, 1)
-    for begin, end in deadline.slices(-(-num_loads // loads), "pricing routes"):
+    for head, tail in deadline.slices(-(-num_loads // loads), "pricing routes"):
         labels = grow_labels(
             group.between, near.order, start, prices, group.demands, near.position, near.carried,
-            begin * loads, min(end * loads, num_loads), first, cheapest, *labels,
+            head * loads, min(tail * loads, num_loads), first, cheapest, *labels,
         )  # fmt: skip
     count = first[-1]
     costs, fronts, memories, parents = labels
