@@ -104,17 +104,22 @@ def _last_legs(
     total = 0.0
     values, lasts = np.empty(num_drones), np.empty(num_drones, np.int64)
     for i in range(num_drones):
-        best, last = np.inf, 0
+        best, last, farthest = np.inf, -1, 0.0
         for j in range(num):
+            if ends[i, j] < np.inf:
+                farthest = max(farthest, ends[i, j])
             if ends[i, j] + prices[j] < best:
                 best, last = ends[i, j] + prices[j], j
+        # A drone without an end may end anywhere for nothing: where, tells the ascent nothing.
+        last = last if farthest > 0.0 else -1
         values[i], lasts[i] = best - start_prices[i] - idle[i], last
         total += idle[i]
     for rank, i in enumerate(np.argsort(values)):
         if rank < needed or values[i] < 0.0:
             total += values[i]
-            gradient[lasts[i]] += 1.0
             gradient[num + i] -= 1.0
+            if lasts[i] >= 0:
+                gradient[lasts[i]] += 1.0
     return total if needed <= num_drones else np.inf
 
 
@@ -153,6 +158,14 @@ def relax(
     return weight - 2.0 * prices[:num].sum() + _last_legs(ends, idle, needed, prices[:num], prices[num:], gradient)
 
 
+@njit(cache=True)
+def _some_have_no_end(ends: FloatArray) -> bool:
+    for i in range(ends.shape[0]):
+        if not ((ends[i] > 0.0) & (ends[i] < np.inf)).any():
+            return True
+    return False
+
+
 @compiled_for(
     FLOATS_2, FLOATS_2, FLOATS_2, FLOATS_1, types.int64, types.int64, types.float64, ASCENT,
     *[writable(FLOATS_1)] * 3,
@@ -180,6 +193,8 @@ def ascend(
         How far these rounds came, and whether there is farther to go.
     """
     gradient, shares = np.empty(prices.shape[0]), np.empty(starts.shape[1])
+    # A task where a drone without an end may rest has two legs at most, and no price below 0.
+    held = starts.shape[1] if _some_have_no_end(ends) else 0
     for _ in range(rounds):
         value = relax(starts, between, ends, idle, needed, prices, gradient, shares)
         if not np.isfinite(value):
@@ -191,6 +206,8 @@ def ascend(
         norm, steepest = 0.0, 0.0
         for k in range(prices.shape[0]):
             direction[k] = share * gradient[k] + (1.0 - share) * direction[k]
+            if k < held and prices[k] <= 0.0:
+                direction[k], gradient[k] = max(direction[k], 0.0), max(gradient[k], 0.0)
             norm += direction[k] ** 2
             steepest += gradient[k] ** 2
         if steepest == 0.0:
@@ -198,4 +215,6 @@ def ascend(
         length = (target(ascent, upper) - value) / max(norm, steepest)
         for k in range(prices.shape[0]):
             prices[k] += length * direction[k]
+            if k < held:
+                prices[k] = max(prices[k], 0.0)
     return ascent, True
