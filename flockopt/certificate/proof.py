@@ -29,8 +29,8 @@ NG_NEIGHBOURS = 8
 #: Entries of a vector are within so many metres of 0: sums of larger ones lose to rounding what they are to prove.
 MOST_PRICE_M = 1e8
 
-#: Memories of ng-routes gone through, by load and two tasks, and kept, by load and task, at most: a minute or two, and a
-#: quarter of a gigabyte.
+#: Memories of ng-routes gone through, by load and two tasks, and kept, by load and task, at most: some minutes, and half
+#: a gigabyte.
 MOST_MEMORIES, MOST_KEPT = 10**11, 25_000_000
 
 #: A route may be longer than ``max_distance`` by this share: as much as the clause that judges it lets pass, and more.

@@ -137,9 +137,7 @@ def _forest(scene: Scene, travel: Travel, upper: float, rounds: int | None, dead
     ascent, prices, direction, best = begin(), np.zeros(num), np.zeros(num), np.zeros(num)
     try:
         for first, last in deadline.slices(rounds, "proving a bound"):
-            ascent, goes_on = forest.ascend(
-                *relaxed, last - first, min(upper, travel_ceiling(travel)), ascent, prices, direction, best
-            )
+            goes_on = forest.ascend(*relaxed, last - first, min(upper, travel_ceiling(travel)), ascent, prices, direction, best)
             if not goes_on:
                 break
     except OutOfTime:

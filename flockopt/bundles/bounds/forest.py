@@ -14,7 +14,7 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
-from flockopt.bundles.bounds.polyak import ASCENT, LEAST_REACH, Ascent, seen, target
+from flockopt.bundles.bounds.polyak import BEST, LEAST_REACH, aim
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["ascend", "relax"]
@@ -160,20 +160,20 @@ def relax(
 
 @njit(cache=True)
 def _some_have_no_end(ends: FloatArray) -> bool:
+    lacking = 0
     for i in range(ends.shape[0]):
-        if not ((ends[i] > 0.0) & (ends[i] < np.inf)).any():
-            return True
-    return False
+        lacking += not ((ends[i] > 0.0) & (ends[i] < np.inf)).any()
+    return lacking > 0
 
 
 @compiled_for(
-    FLOATS_2, FLOATS_2, FLOATS_2, FLOATS_1, types.int64, types.int64, types.float64, ASCENT,
-    *[writable(FLOATS_1)] * 3,
+    FLOATS_2, FLOATS_2, FLOATS_2, FLOATS_1, types.int64, types.int64, types.float64,
+    *[writable(FLOATS_1)] * 4,
 )  # fmt: skip
 def ascend(
     starts: FloatArray, between: FloatArray, ends: FloatArray, idle: FloatArray, needed: int, rounds: int, upper: float,
-    ascent: Ascent, prices: FloatArray, direction: FloatArray, best_prices: FloatArray,
-) -> tuple[Ascent, bool]:  # fmt: skip
+    ascent: FloatArray, prices: FloatArray, direction: FloatArray, best_prices: FloatArray,
+) -> bool:  # fmt: skip
     """Some rounds towards the Held-Karp maximum, by a subgradient with Polyak steps to a moving target.
 
     Args:
@@ -184,13 +184,13 @@ def ascend(
         needed: See there.
         rounds: Spanning trees to grow.
         upper: Travel of a known allocation, or infinity; no target lies above it.
-        ascent: How far the rounds before came.
+        ascent: (3,) how far the rounds before came (`flockopt.bundles.bounds.polyak.begin`); brought up to date.
         prices: (M + N,) where they came to; moved on.
         direction: (M + N,) of their last step, 0 at first; turned.
         best_prices: (M + N,) the best found; bettered.
 
     Returns:
-        How far these rounds came, and whether there is farther to go.
+        Whether there is farther to go.
     """
     gradient, shares = np.empty(prices.shape[0]), np.empty(starts.shape[1])
     # A task where a drone without an end may rest has two legs at most, and no price below 0.
@@ -198,11 +198,11 @@ def ascend(
     for _ in range(rounds):
         value = relax(starts, between, ends, idle, needed, prices, gradient, shares)
         if not np.isfinite(value):
-            return ascent, False
-        share = DIRECTION_SHARE if ascent.best > -np.inf else 1.0
-        if value > ascent.best:
+            return False
+        share = DIRECTION_SHARE if ascent[BEST] > -np.inf else 1.0
+        if value > ascent[BEST]:
             best_prices[:] = prices
-        ascent = seen(ascent, value, COOLING, LEAST_REACH)
+        goal = aim(ascent, value, COOLING, LEAST_REACH, upper)
         norm, steepest = 0.0, 0.0
         for k in range(prices.shape[0]):
             direction[k] = share * gradient[k] + (1.0 - share) * direction[k]
@@ -211,10 +211,10 @@ def ascend(
             norm += direction[k] ** 2
             steepest += gradient[k] ** 2
         if steepest == 0.0:
-            return ascent, False
-        length = (target(ascent, upper) - value) / max(norm, steepest)
+            return False
+        length = (goal - value) / max(norm, steepest)
         for k in range(prices.shape[0]):
             prices[k] += length * direction[k]
             if k < held:
                 prices[k] = max(prices[k], 0.0)
-    return ascent, True
+    return True

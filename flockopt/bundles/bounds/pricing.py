@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from flockopt.batches.deadline import NEVER, Deadline, OutOfTime
 from flockopt.bundles.bounds.ng_route import Labels, Neighbourhood, cheapest_labels, count_visits, grow_labels, neighbourhood
-from flockopt.bundles.bounds.polyak import LEAST_REACH, begin, seen, target
+from flockopt.bundles.bounds.polyak import LEAST_REACH, REACH, aim, begin
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -127,16 +127,18 @@ def grow(group: DroneGroup, prices: FloatArray, initial: FloatArray | None = Non
     start, near = group.initial if initial is None else initial, group.near
     num_loads, num = start.shape
     first, cheapest, room = np.zeros(num_loads * num + 1, np.int64), np.full(num_loads, np.inf), 64 * num
-    labels = np.empty(room), np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
+    labels = Labels(first, np.empty(room), *(np.empty(room, np.int64) for _ in range(3)))
     loads = 1 + SLICE_PAIRS // max(num * num, 1)
     for head, tail in deadline.slices(-(-num_loads // loads), "pricing routes"):
-        labels = grow_labels(
-            group.between, near.order, start, prices, group.demands, near.position, near.carried,
-            head * loads, min(tail * loads, num_loads), first, cheapest, *labels,
-        )  # fmt: skip
-    count = first[-1]
-    costs, fronts, memories, parents = labels
-    return Labels(first, costs[:count], fronts[:count], memories[:count], parents[:count])
+        load, last = head * loads, min(tail * loads, num_loads)
+        while load < last:
+            load = grow_labels(
+                group.between, near.order, start, prices, group.demands, near.position, near.carried,
+                load, last, first, cheapest, *labels[1:],
+            )  # fmt: skip
+            if load < last:
+                labels = Labels(first, *(np.concatenate([array, np.empty_like(array)]) for array in labels[1:]))
+    return Labels(first, *(array[: first[-1]] for array in labels[1:]))
 
 
 def evaluate(groups: list[DroneGroup], prices: FloatArray, deadline: Deadline = NEVER) -> tuple[float, FloatArray]:
@@ -148,7 +150,8 @@ def evaluate(groups: list[DroneGroup], prices: FloatArray, deadline: Deadline = 
     value, visits = float(prices.sum()), np.zeros(len(prices))
     for group in groups:
         labels = grow(group, prices, deadline=deadline)
-        values, chosen = cheapest_labels(labels.first, labels.costs, group.starts, group.capacities, group.idle)
+        values, chosen = group.idle.copy(), np.full(len(group.idle), -1)
+        cheapest_labels(labels.first, labels.costs, group.starts, group.capacities, values, chosen)
         count_visits(chosen, labels.fronts, labels.parents, visits)
         value += float(values.sum())
     return value, visits
@@ -187,14 +190,14 @@ def ascend_prices(
             break
         if value > best:
             best, best_prices = value, prices
-        ascent = seen(ascent, value, cooling, 0.0)
+        goal = aim(ascent, value, cooling, 0.0, upper)
         gradient = 1.0 - visits
         steepest = gradient[(prices > 0.0) | (gradient > 0.0)]  # what would not leave the positive prices
-        if not steepest.any() or ascent.reach < max(LEAST_REACH, good) or upper <= best * (1.0 + good):
+        if not steepest.any() or ascent[REACH] < max(LEAST_REACH, good) or upper <= best * (1.0 + good):
             break
         share = DIRECTION_SHARE if step else 1.0
         direction = share * gradient + (1.0 - share) * direction
         direction[(prices <= 0.0) & (direction < 0.0)] = 0.0
         norm = max(float(direction @ direction), LEAST_NORM_SHARE * float(steepest @ steepest))
-        prices = np.maximum(0.0, prices + (target(ascent, upper) - value) / norm * direction)
+        prices = np.maximum(0.0, prices + (goal - value) / norm * direction)
     return best, best_prices

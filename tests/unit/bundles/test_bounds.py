@@ -115,9 +115,7 @@ def test_where_drones_carry_one_task_the_assignment_leaves_no_gap(seed, demand):
     rng = np.random.default_rng(seed)
     scene, travel = random_instance(rng, drones=9, tasks=6, capacity=demand, ends=seed % 3 > 0)
     scene = scene.replace(tasks=tuple(dataclasses.replace(task, demand=demand) for task in scene.tasks))
-    bound = lower_bound(scene, travel)
-    assert bound.kind == "ng-route"
-    assert bound.value == pytest.approx(least_travel(scene, travel), rel=1e-12)
+    assert lower_bound(scene, travel).value == pytest.approx(least_travel(scene, travel), rel=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["fast", "tight", "exact"])
