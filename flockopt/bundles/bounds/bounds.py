@@ -46,13 +46,14 @@ NG_ROUNDS = 80
 
 #: What the ng-routes of the bound ``tight`` may cost in all, at first and for each task, in units of about 10 ns; what a
 #: group of drones costs, whatever its routes. Less than a few rounds are not worth their time.
-TIGHT_COST, TIGHT_COST_A_TASK, GROUP_COST, LEAST_NG_ROUNDS = 300_000, 8_000, 1_000, 4
+TIGHT_COST, TIGHT_COST_A_TASK, GROUP_COST, LEAST_NG_ROUNDS = 600_000, 5_000, 1_500, 4
 
-#: A step between two tasks costs 1 and more, as labels are many where routes have many tasks; at most so much.
-LABELS_SHARE, MOST_LABELS = 0.05, 16.0
+#: What a step between two tasks costs at least; more, with the cube of how many tasks on a route are remembered.
+STEP_COST, MEMORY_COST = 1.5, 0.1
 
-#: A gap with which the bound ``tight`` is content, unless there are so few tasks that it costs next to nothing to go on.
-GOOD_GAP, FEW_TASKS = 0.01, 12
+#: Gaps with which the bound ``tight`` is content in its first round and in its last one; with none at first where there are
+#: so few tasks that it costs next to nothing to go on.
+GOOD_GAP, FAIR_GAP, FEW_TASKS = 0.01, 0.06, 12
 
 #: Memories of ng-routes, by load and two tasks, and by load and task, that a judge goes through at most
 #: (docs/certificate.md).
@@ -94,7 +95,8 @@ def forest_bound(
 def tight_bound(scene: Scene, travel: Travel, upper: float = math.inf, *, deadline: Deadline = NEVER) -> Bound:
     """The forest, or the ng-routes where they prove more and cost little."""
     good = CLOSED_GAP if scene.num_tasks <= FEW_TASKS else GOOD_GAP
-    return _priced(scene, travel, upper, _affordable_rounds(scene, travel), good, deadline)
+    rounds = _affordable_rounds(scene, travel)
+    return _priced(scene, travel, upper, rounds, np.linspace(good, FAIR_GAP, rounds), deadline)
 
 
 def ng_route_bound(
@@ -104,17 +106,17 @@ def ng_route_bound(
 
     The forest where that proves more, or there is no time for the first round, or a judge would not go through the routes.
     """
-    return _priced(scene, travel, upper, rounds, CLOSED_GAP, deadline)
+    return _priced(scene, travel, upper, rounds, np.full(rounds, CLOSED_GAP), deadline)
 
 
-def _priced(scene: Scene, travel: Travel, upper: float, rounds: int, good: float, deadline: Deadline) -> Bound:
-    """The forest, or the ng-routes where they prove more, after so many rounds or with a gap that is ``good``."""
+def _priced(scene: Scene, travel: Travel, upper: float, rounds: int, good: FloatArray, deadline: Deadline) -> Bound:
+    """The forest, or the ng-routes where they prove more, after so many rounds or with a gap that is ``good`` (rounds,)."""
     best, prices = _forest(scene, travel, upper, None, deadline)
     if not rounds or not scene.num_tasks or upper <= best.value * (1.0 + CLOSED_GAP) or not _is_judged(scene, travel):
         return best
     matched = match_one_each(scene, travel) if carries_one_at_most(scene) else None
     if matched is not None:
-        prices, rounds = matched.prices, 1
+        prices, rounds, good = matched.prices, 1, good[:1]
     ceiling = min(upper, travel_ceiling(travel))
     value, prices = ascend_prices(
         group_drones(scene, travel), prices, rounds=rounds, upper=ceiling, good=good, deadline=deadline
@@ -175,8 +177,8 @@ def _affordable_rounds(scene: Scene, travel: Travel) -> int:
     cost = 0.0
     for drones in drones_that_share(travel):
         most = int(capacities[drones].max())
-        labels = 1.0 + LABELS_SHARE * float((lightest <= most).sum()) ** 2
-        cost += GROUP_COST + min(labels, MOST_LABELS) * count_pairs(demands, most)
+        remembered = float((lightest <= most).sum()) * min(1.0, NEIGHBOURS / scene.num_tasks)
+        cost += GROUP_COST + (STEP_COST + MEMORY_COST * remembered**3) * count_pairs(demands, most)
     if carries_one_at_most(scene):
         cost /= NG_ROUNDS  # one round is enough
     rounds = int((TIGHT_COST + TIGHT_COST_A_TASK * scene.num_tasks) / cost)

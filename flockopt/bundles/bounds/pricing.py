@@ -45,6 +45,9 @@ LEAST_NORM_SHARE = 0.5
 #: An allocation this share above a bound is as good as it gets.
 CLOSED_GAP = 1e-7
 
+#: Steps that aim at less than this part of a gap that is good enough are not worth making.
+REACH_SHARE = 0.25
+
 #: Labels grow for loads that have so many pairs of tasks at a time at least.
 SLICE_PAIRS = 500_000
 
@@ -164,7 +167,7 @@ def ascend_prices(
     rounds: int,
     upper: float,
     cooling: float = 0.7,
-    good: float = CLOSED_GAP,
+    good: float | FloatArray = CLOSED_GAP,
     deadline: Deadline = NEVER,
 ) -> tuple[float, FloatArray]:
     """Better prices by a projected subgradient with Polyak steps to a moving target.
@@ -175,7 +178,8 @@ def ascend_prices(
         rounds: Evaluations at most.
         upper: Travel of a known allocation, or infinity; no target lies above it.
         cooling: What the reach shrinks to; nearer to 1 ends nearer to the maximum, after more rounds.
-        good: Ends it where ``upper``, or what it aims at, is no farther above the bound than this share of it.
+        good: Ends it where ``upper`` is no farther above the bound than this share of it, or steps aim much less far; one for
+            each round, or one for all.
         deadline: Ends the ascent where it is.
 
     Returns:
@@ -183,7 +187,7 @@ def ascend_prices(
     """
     best, best_prices, direction = -math.inf, prices, np.zeros_like(prices)
     ascent = begin()
-    for step in range(rounds):
+    for step, near in enumerate(np.broadcast_to(good, rounds)):
         try:
             value, visits = evaluate(groups, prices, deadline)
         except OutOfTime:
@@ -193,7 +197,7 @@ def ascend_prices(
         goal = aim(ascent, value, cooling, 0.0, upper)
         gradient = 1.0 - visits
         steepest = gradient[(prices > 0.0) | (gradient > 0.0)]  # what would not leave the positive prices
-        if not steepest.any() or ascent[REACH] < max(LEAST_REACH, good) or upper <= best * (1.0 + good):
+        if not steepest.any() or ascent[REACH] < max(LEAST_REACH, REACH_SHARE * near) or upper <= best * (1.0 + near):
             break
         share = DIRECTION_SHARE if step else 1.0
         direction = share * gradient + (1.0 - share) * direction
