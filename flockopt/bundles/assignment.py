@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 from scipy.sparse import csr_array
 
+from flockopt.batches.deadline import heard
 from flockopt.errors import SettingsError, SolverFailed, require
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
@@ -178,7 +179,9 @@ def _rounded(primal: FloatArray, preferences: FloatArray, scene: Scene) -> NDArr
     loads = csr_array((scene.demands[task], (drone, columns)), shape=(num_drones, num_drones * num_tasks))
     visits = csr_array((np.ones(len(columns)), (task, columns)), shape=(num_tasks, num_drones * num_tasks))
     limits = [LinearConstraint(loads, -np.inf, scene.capacities), LinearConstraint(visits, -np.inf, 1.0)]
-    answer = milp(weights, constraints=limits, integrality=np.ones(len(columns)), bounds=Bounds(0.0, 1.0), options=EFFORT)
+    answer = heard(
+        lambda: milp(weights, constraints=limits, integrality=np.ones(len(columns)), bounds=Bounds(0.0, 1.0), options=EFFORT)
+    )
     if answer.x is None:
         raise SolverFailed("HiGHS", answer.message)
     return np.asarray(answer.x.reshape(num_drones, num_tasks) > 0.5)

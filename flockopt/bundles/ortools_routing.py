@@ -6,11 +6,16 @@ OR-Tools counts in integers: every distance goes through `in_units`, which round
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flockopt.batches.deadline import Deadline
 from flockopt.bundles.request import RouteTuple
 from flockopt.errors import SolverFailed, require
 from flockopt.records.arrays import FloatArray
@@ -56,6 +61,7 @@ def route_with_ortools(
         MissingExtra: If OR-Tools is not installed.
         SolverFailed: If it finds no solution, which leaving tasks out always makes possible.
     """
+    deadline = Deadline.after(DEFAULT_SECONDS if time_limit_s is None and solutions is None else time_limit_s)
     pywrapcp: Any = require("ortools.constraint_solver.pywrapcp", extra="solvers")
     enums: Any = require("ortools.constraint_solver.routing_enums_pb2", extra="solvers")
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
@@ -82,8 +88,8 @@ def route_with_ortools(
     settings.local_search_metaheuristic = enums.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
     if solutions is not None:
         settings.solution_limit = max(solutions, 1)
-    if time_limit_s is not None or solutions is None:
-        settings.time_limit.FromMilliseconds(max(int(1e3 * (DEFAULT_SECONDS if time_limit_s is None else time_limit_s)), 1))
+    if not deadline.is_never:
+        settings.time_limit.FromMilliseconds(max(int(1e3 * deadline.left_s), 1))
     return _solve(model, manager, settings, warm_start, num_tasks)
 
 
@@ -103,7 +109,11 @@ def _matrix(scene: Scene, travel: Travel, kind: int) -> NDArray[np.int64]:
 def _solve(model: Any, manager: Any, settings: Any, warm_start: RouteTuple, num_tasks: int) -> RouteTuple:
     model.CloseModelWithParameters(settings)
     first = model.ReadAssignmentFromRoutes([list(route) for route in warm_start], True) if warm_start else None
-    solution = model.SolveFromAssignmentWithParameters(first, settings) if first else model.SolveWithParameters(settings)
+    with _interrupts() as interrupted:
+        model.AddSearchMonitor(model.solver().CustomLimit(lambda: bool(interrupted)))
+        solution = model.SolveFromAssignmentWithParameters(first, settings) if first else model.SolveWithParameters(settings)
+    if interrupted:
+        raise KeyboardInterrupt
     if solution is None:
         raise SolverFailed("OR-Tools routing", f"no solution, status {model.status()}")
     routes = []
@@ -114,3 +124,17 @@ def _solve(model: Any, manager: Any, settings: Any, warm_start: RouteTuple, num_
             index = solution.Value(model.NextVar(index))
         routes.append(tuple(route))
     return tuple(routes)
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Interrupts from the keyboard while the solver runs, which keeps Python from acting on them."""
+    seen: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield seen
+        return
+    before = signal.signal(signal.SIGINT, lambda number, _: seen.append(number))
+    try:
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, before)

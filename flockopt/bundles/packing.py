@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flockopt.batches import cp_sat
 from flockopt.bundles.explain import LENGTH_TOLERANCE_M
+from flockopt.errors import MissingExtra
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
@@ -103,8 +105,8 @@ class _Search:
 
 def _by_cp_sat(demands: list[int], capacities: list[int], able: NDArray[np.bool_]) -> Packing | None:
     try:
-        from ortools.sat.python import cp_model
-    except ImportError:
+        cp_model = cp_sat.cp_model()
+    except MissingExtra:
         return None
     model = cp_model.CpModel()
     chosen = {(i, j): model.new_bool_var("") for i, j in np.argwhere(able).tolist()}
@@ -112,9 +114,7 @@ def _by_cp_sat(demands: list[int], capacities: list[int], able: NDArray[np.bool_
         model.add_exactly_one(chosen[i, j] for i in np.flatnonzero(able[:, j]).tolist())
     for i, capacity in enumerate(capacities):
         model.add(sum(demands[j] * chosen[i, j] for j in np.flatnonzero(able[i]).tolist()) <= capacity)
-    solver = cp_model.CpSolver()
-    solver.parameters.num_workers, solver.parameters.max_deterministic_time = 1, MOST_WORK
-    status = solver.solve(model)
+    solver, status = cp_sat.solved(model, MOST_WORK)
     if status == cp_model.INFEASIBLE:
         return Packing(is_impossible=True)
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from flockopt.bundles.bundles import Bundles
-from flockopt.bundles.explain import LENGTH_TOLERANCE_M, explained
+from flockopt.bundles.explain import LENGTH_TOLERANCE_M, explained, may_be_overlooked
 from flockopt.bundles.request import AllocationRequest, checked_limits, checked_preferences, checked_routes
 from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
@@ -82,6 +82,8 @@ def _packed(request: AllocationRequest, bundles: Bundles, method: str) -> Bundle
 
     scene, travel = request.scene, request.travel
     packing = pack(scene, travel, thorough=request.iterations is None)
+    if packing.is_impossible and may_be_overlooked(scene, travel):
+        return bundles
     if packing.is_impossible:
         words = "no way to share the tasks out keeps every capacity, and that is proven; split a task or raise a capacity"
         return replace(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.bundles import Bound
 from flockopt.certificate.certificate import Clause
 from flockopt.certificate.plan_file import LARGEST_DEGREE, Plan
@@ -59,6 +60,7 @@ class JudgedCase:
     plan: Plan
     travel: Travel
     proof: Bound | None
+    deadline: Deadline = NEVER
 
     @cached_property
     def routes(self) -> list[list[int]]:
@@ -96,6 +98,10 @@ class JudgedCase:
     def makespan(self) -> float:
         """Seconds until the last drone has finished."""
         return max((flight.curve.end_time for _, flight in self.flights), default=0.0)
+
+    def check_time(self) -> None:
+        """Raise `flockopt.batches.deadline.OutOfTime` if the deadline has passed."""
+        self.deadline.check("judging the plan")
 
     def place(self, drone: int, time: float) -> Point:
         """Where a drone is at a time."""

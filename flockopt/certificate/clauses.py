@@ -145,6 +145,7 @@ def _visits(case: JudgedCase) -> Clause:
     worst = Worst()
     tasks = {task.id: task for task in case.scene.tasks}
     for i, drone in enumerate(case.scene.drones):
+        case.check_time()
         flight = case.plan.flights.get(drone.id)
         for visit in flight.visits if flight is not None else ():
             task = tasks[visit.task]
@@ -176,6 +177,7 @@ def _limits(case: JudgedCase) -> Clause:
     for i, drone in enumerate(case.scene.drones):
         if drone.id not in case.plan.flights:
             continue
+        case.check_time()
         for order, (quantity, field, unit) in enumerate(LIMITS, start=1):
             value, time = largest_norm(case.curves[i][0], case.controls[i], order)
             limit = getattr(drone, field)

@@ -30,6 +30,7 @@ class Engine:
 def _clearance(case: JudgedCase) -> Nearest | None:
     nearest = None
     for i, drone in enumerate(case.scene.drones if case.scene.obstacles else ()):
+        case.check_time()
         space = case.scene.free_space(drone.radius + case.scene.clearance)
         margin, time, k = least_clearance(space, *case.curves[i], RESOLUTION_M)
         if nearest is None or margin < nearest.margin:
@@ -42,6 +43,7 @@ def _separation(case: JudgedCase) -> Nearest | None:
     for gap, i, j in _pairs_by_gap(case):
         if gap > least:
             break
+        case.check_time()
         axes = case.scene.axes_between(i, j)
         margin, time = least_separation(*case.curves[i], *case.curves[j], axes, 0.0, case.makespan, RESOLUTION_M, least)
         if time >= 0.0 and margin < least:

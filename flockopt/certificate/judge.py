@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.bundles import Bound
 from flockopt.certificate.case import JudgedCase, Worst, check_names
 from flockopt.certificate.certificate import CLAUSES, FLYABILITY, Certificate, Clause
@@ -34,7 +35,13 @@ IN_SPACE = ("visits", "limits", "bounds", "clearance", "separation", FLYABILITY)
 
 
 def certify(
-    scene: Scene, plan: Plan, *, travel: Travel | None = None, bound: Bound | None = None, engine: str = "closed-form"
+    scene: Scene,
+    plan: Plan,
+    *,
+    travel: Travel | None = None,
+    bound: Bound | None = None,
+    engine: str = "closed-form",
+    deadline: Deadline = NEVER,
 ) -> Certificate:
     """Judge a plan.
 
@@ -44,11 +51,13 @@ def certify(
         travel: The scene's travel, if it is at hand; computed otherwise.
         bound: What proves the plan's lower bound, where its certificate does not hold that yet.
         engine: What finds the least clearance and separation: ``"closed-form"``, or ``"fcl"`` for python-fcl's distances.
+        deadline: When to give up.
 
     Raises:
         PlanError: If the plan is for another scene, or names a drone or a task that the scene does not have.
         SettingsError: If there is no such engine.
         MissingExtra: If python-fcl is asked for and not installed.
+        OutOfTime: If the deadline passes.
     """
     if engine not in ENGINES:
         raise SettingsError("engine", f"is {engine!r}", f"must be one of {', '.join(ENGINES)}", "choose one")
@@ -56,7 +65,7 @@ def certify(
     proof = bound if bound is not None else plan.certificate.bound if plan.certificate is not None else None
     frame = Frame.of(scene.bounds)
     scene, plan = frame.near(scene), plan_into(frame, plan)
-    case = JudgedCase(scene, plan, compute_travel(scene) if travel is None else travel, proof)
+    case = JudgedCase(scene, plan, compute_travel(scene) if travel is None else travel, proof, deadline)
     judges = JUDGES | _in_space(engine)
     names = CLAUSES if not any(drone.has_abilities for drone in scene.drones) else (*CLAUSES, FLYABILITY)
     with np.errstate(over="ignore", invalid="ignore"):  # a hostile plan's overflows fail the clauses they are in

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
 from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for
+from flockopt.batches.deadline import heard
 from flockopt.errors import PlanError, SolverFailed
 from flockopt.records.arrays import FloatArray
 
@@ -101,10 +103,9 @@ def _routes(offers: list[Offers], prices: FloatArray, demands: NDArray[np.int64]
     room, steps = MOST_ROUTES, MOST_STEPS
     for drone, offer in enumerate(offers):
         shortest: dict[int, float] = {}
-        tasks, lengths, count, taken = _list_routes(
-            offer.starts, offer.between, offer.ends, offer.rests, prices, demands, offer.capacity,
-            offer.least + gap, offer.longest, room, steps,
-        )  # fmt: skip
+        given = offer.starts, offer.between, offer.ends, offer.rests, prices, demands, offer.capacity
+        limits = offer.least + gap, offer.longest, room, steps
+        tasks, lengths, count, taken = heard(partial(_list_routes, *given, *limits))
         if count < 0:
             rule = f"at most {MOST_ROUTES} routes may lie between its prices and its value"
             raise PlanError("dual", "proves too little to recheck", rule, 'claim the bound of its prices: kind "ng-route"')
@@ -131,10 +132,11 @@ def _cheapest_cover(routes: list[Route], offers: list[Offers], num_tasks: int) -
     must_fly = [float(not offer.may_idle) for offer in offers]
     limits = LinearConstraint(serves, np.concatenate([np.ones(num_tasks), must_fly]), 1.0)
     # HiGHS's presolve has returned wrong optima before (frozen in tests/oracle/test_exact_oracle.py)
-    answer = milp(
-        np.array([cost for *_, cost in routes]), integrality=np.ones(len(routes)), bounds=Bounds(0.0, 1.0),
-        constraints=limits, options={"presolve": False, "mip_rel_gap": 0.0, "node_limit": MOST_BRANCHES},
-    )  # fmt: skip
+    costs = np.array([cost for *_, cost in routes])
+    effort = {"presolve": False, "mip_rel_gap": 0.0, "node_limit": MOST_BRANCHES}
+    answer = heard(
+        lambda: milp(costs, integrality=np.ones(len(routes)), bounds=Bounds(0.0, 1.0), constraints=limits, options=effort)
+    )
     if answer.status == 2:  # infeasible
         return np.inf
     if answer.status not in (0, 1) or answer.mip_dual_bound is None:  # optimal, or out of branches
@@ -144,7 +146,7 @@ def _cheapest_cover(routes: list[Route], offers: list[Offers], num_tasks: int) -
 
 @compiled_for(
     FLOATS_1, FLOATS_2, FLOATS_1, FLOATS_2, FLOATS_1, INTEGERS_1, types.int64, types.float64, types.float64, types.int64,
-    types.int64,
+    types.int64, nogil=True,
 )  # fmt: skip
 def _list_routes(
     starts: FloatArray, between: FloatArray, ends: FloatArray, rests: FloatArray, prices: FloatArray,

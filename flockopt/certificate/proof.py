@@ -7,6 +7,7 @@ is below the travel of every feasible allocation: a wrong vector proves less, ne
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for
+from flockopt.batches.deadline import heard
 from flockopt.bundles import Bound
 from flockopt.certificate.optimum import Offers, least_travel
 from flockopt.errors import PlanError
@@ -32,6 +34,9 @@ MOST_PRICE_M = 1e8
 #: Memories of ng-routes gone through, by load and two tasks, and kept, by load and task, at most: some minutes, and half
 #: a gigabyte.
 MOST_MEMORIES, MOST_KEPT = 10**11, 25_000_000
+
+#: Memories beyond which an interrupt is to be heard meanwhile.
+LONG_MEMORIES = 10**9
 
 #: A route may be longer than ``max_distance`` by this share: as much as the clause that judges it lets pass, and more.
 LENGTH_TOLERANCE = 1e-5
@@ -138,7 +143,7 @@ def _offers(scene: Scene, travel: Travel, dual: FloatArray) -> Iterator[Offers]:
     """What each drone can do under prices (M,)."""
     demands = _in_units(scene, scene.demands)
     loads = _in_units(scene, np.minimum(scene.capacities, scene.demands.sum()))
-    _check_work(travel, demands, int(loads.max()))
+    is_long = _work(travel, demands, int(loads.max())) > LONG_MEMORIES
     near: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
     known: dict[tuple[int, bytes], FloatArray] = {}  # drones with one matrix and one end share their routes
     for index, drone in enumerate(scene.drones):
@@ -147,7 +152,8 @@ def _offers(scene: Scene, travel: Travel, dual: FloatArray) -> Iterator[Offers]:
         if kind not in near:
             near[kind] = _neighbours(between)
         if key not in known:
-            known[key] = _cheapest_rests(between, ends, dual, demands, int(loads.max()), *near[kind])
+            rests = partial(_cheapest_rests, between, ends, dual, demands, int(loads.max()), *near[kind])
+            known[key] = heard(rests) if is_long else rests()
         longest = np.inf if drone.max_distance is None else drone.max_distance * (1.0 + LENGTH_TOLERANCE)
         starts, idle = np.ascontiguousarray(travel.start_task[index]), float(travel.start_end[index])
         yield Offers(starts, between, ends, known[key], int(loads[index]), idle, longest)
@@ -158,14 +164,16 @@ def _in_units(scene: Scene, loads: FloatArray) -> NDArray[np.int64]:
     return loads.astype(np.int64) // np.gcd.reduce(scene.demands.astype(np.int64))
 
 
-def _check_work(travel: Travel, demands: NDArray[np.int64], most: int) -> None:
-    """Raise a `PlanError` where routes of loads up to ``most`` are too many to go through."""
+def _work(travel: Travel, demands: NDArray[np.int64], most: int) -> int:
+    """How many memories there are to go through for routes of loads up to ``most``; a `PlanError` where they are too many."""
     num_tasks, ends = len(demands), {(int(k), e.tobytes()) for k, e in zip(travel.drone_class, travel.task_end, strict=True)}
     memories = 1 << min(NG_NEIGHBOURS - 1, num_tasks - 1)
     kept = max(most + 1, (int(demands.max()) + 1) * memories) * num_tasks
-    if kept > MOST_KEPT or len(ends) * most * num_tasks**2 * memories > MOST_MEMORIES:
+    work = len(ends) * most * num_tasks**2 * memories
+    if kept > MOST_KEPT or work > MOST_MEMORIES:
         rule = "a judge goes through so many loads of so many tasks only up to a limit (docs/certificate.md)"
         raise PlanError("kind", "has too many routes to recheck", rule, 'claim a bound of the kind "two-ended-forest"')
+    return work
 
 
 def _neighbours(between: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -180,7 +188,7 @@ def _neighbours(between: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int6
     return nearest, places
 
 
-@compiled_for(FLOATS_2, FLOATS_1, FLOATS_1, INTEGERS_1, types.int64, INTEGERS_2, INTEGERS_2)
+@compiled_for(FLOATS_2, FLOATS_1, FLOATS_1, INTEGERS_1, types.int64, INTEGERS_2, INTEGERS_2, nogil=True)
 def _cheapest_rests(
     between: FloatArray, ends: FloatArray, prices: FloatArray, demands: NDArray[np.int64], most: int,
     nearest: NDArray[np.int64], places: NDArray[np.int64],

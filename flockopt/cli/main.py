@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
+from flockopt.batches.deadline import is_still_at_work
 from flockopt.cli.status import INTERRUPTED, refuse, run_command
 from flockopt.errors import SettingsError
 
@@ -77,7 +79,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return run_command("flockopt", lambda: _run(argv))
     except KeyboardInterrupt:
-        return refuse("flockopt", "interrupted; no output was written after this point", INTERRUPTED)
+        status = refuse("flockopt", "interrupted; no output was written after this point", INTERRUPTED)
+        if is_still_at_work():
+            os._exit(status)  # a solver in a thread would keep the process, or crash it
+        return status
 
 
 def _run(argv: Sequence[str] | None) -> int:

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.bundles import Bundles
 from flockopt.errors import SettingsError
 from flockopt.flights.curve import Curve, Flight
 from flockopt.flights.room import MOST_PIECES, Room
-from flockopt.flights.waypoints import FLY_THROUGH, Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
+from flockopt.flights.waypoints import Waypoints, check_samples, waypoints_from_paths, waypoints_from_samples
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Scene
 from flockopt.travel import Travel
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
     from flockopt.flights.laws.attempt import PolylineLaw
 
 __all__ = ["LAWS", "Law", "decode", "fly"]
+
+#: What it does, for those who give it a deadline.
+DOING = "making flights of the routes"
 
 #: Seconds a drone that serves a task where it stands is given for it.
 SHORTEST_FLIGHT_S = 0.1
@@ -41,6 +46,7 @@ def decode(
     *,
     travel: Travel | None = None,
     law: str = "fly-through",
+    deadline: Deadline = NEVER,
 ) -> dict[str, Flight]:
     """Smooth flights through ordered bundles.
 
@@ -51,6 +57,7 @@ def decode(
             the any-angle paths.
         travel: The scene's travel, if it is already there.
         law: How progress along the way is timed; see `LAWS`.
+        deadline: When to give up.
 
     Returns:
         A flight for every drone that moves or serves a task, by drone id, all beginning at t = 0. Position, velocity
@@ -61,6 +68,7 @@ def decode(
         SettingsError: On an unknown law, one that starts from rest for a drone in motion, bundles for another fleet,
             or samples of a wrong shape or with a NaN.
         MissingExtra: If the law is "ruckig" and ruckig is not installed.
+        OutOfTime: If the deadline passes.
     """
     chosen = _chosen_law(scene, law)
     if len(bundles) != scene.num_drones:
@@ -70,6 +78,7 @@ def decode(
     travel = compute_travel(scene) if travel is None else travel
     flights, ways = {}, {}
     for index, (drone, route) in enumerate(zip(scene.drones, bundles, strict=True)):
+        deadline.check(DOING)
         if control is None:
             waypoints = waypoints_from_paths(scene, travel, index, route)
         else:
@@ -77,8 +86,8 @@ def decode(
         if waypoints.moves:
             ways[index] = waypoints
         elif route or np.any(drone.velocity):
-            flights[drone.id] = _stay(scene, drone, waypoints)
-    flights |= chosen.fly(scene, ways)
+            flights[drone.id] = fly(scene, drone, waypoints)
+    flights |= chosen.fly(scene, ways, deadline)
     return {drone.id: flights[drone.id] for drone in scene.drones if drone.id in flights}
 
 
@@ -104,17 +113,24 @@ def fly(
         avoided: (K, 9) more obstacle rows to keep clear of, or None.
         law: What flies a polyline; None for the fly-through law, `flockopt.flights.laws.fly_through.fly_polyline`.
     """
-    from flockopt.flights.laws.attempt import first_trial, mend_faults, merge_close_corners, save_pieces
+    from flockopt.flights.laws.attempt import first_trial, halting_ways, mend_faults, merge_close_corners, save_pieces
     from flockopt.flights.laws.fly_through import fly_polyline
 
-    if not waypoints.moves:
-        return _stay(scene, drone, waypoints)
-    room = Room.around(scene, drone, waypoints, avoided)
-    trial = first_trial(waypoints, room, law or fly_polyline)
-    trial = merge_close_corners(trial)
-    trial = mend_faults(trial)
-    if drone.max_distance is not None and Curve(trial.breakpoints, trial.coefficients).length > drone.max_distance:
-        trial = trial.again(waypoints).stopping()
+    chosen, room = law or fly_polyline, Room.around(scene, drone, waypoints, avoided)
+    if not waypoints.moves and not room.in_motion:
+        return _stay(waypoints, scene)
+    ways = [waypoints] if waypoints.moves else []
+    halting = halting_ways(waypoints, room, bool(waypoints.tasks[0]) or drone.end is not None) if room.in_motion else ()
+    trials = []
+    for way in chain(ways, halting):
+        trial = mend_faults(merge_close_corners(first_trial(way, room, chosen)))
+        if drone.max_distance is not None and Curve(trial.breakpoints, trial.coefficients).length > drone.max_distance:
+            trial = trial.again(way).stopping()
+        trials.append(trial)
+        if not room.in_motion or trial.is_flyable:
+            break
+    else:
+        trial = trials[0]
     return save_pieces(trial).flight(scene)
 
 
@@ -123,21 +139,25 @@ class Law:
     """A way to make flights of waypoints.
 
     Attributes:
-        fly: From the waypoints that move, by drone index, to flights by drone id.
+        fly: From the waypoints that move, by drone index, to flights by drone id, by a deadline.
         from_samples: How a proposal's samples become waypoints.
         from_rest: Whether drones that move already are refused.
     """
 
-    fly: Callable[[Scene, Mapping[int, Waypoints]], dict[str, Flight]]
+    fly: Callable[[Scene, Mapping[int, Waypoints], Deadline], dict[str, Flight]]
     from_samples: Callable[[Scene, Travel, int, Sequence[int], FloatArray], Waypoints] = waypoints_from_samples
     from_rest: bool = False
 
 
-def _fly_through(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
-    return {scene.drones[index].id: fly(scene, scene.drones[index], waypoints) for index, waypoints in ways.items()}
+def _fly_through(scene: Scene, ways: Mapping[int, Waypoints], deadline: Deadline) -> dict[str, Flight]:
+    flights = {}
+    for index, waypoints in ways.items():
+        deadline.check(DOING)
+        flights[scene.drones[index].id] = fly(scene, scene.drones[index], waypoints)
+    return flights
 
 
-def _quintic(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
+def _quintic(scene: Scene, ways: Mapping[int, Waypoints], deadline: Deadline) -> dict[str, Flight]:
     from flockopt.flights.laws.quintic import decode_quintic
 
     return decode_quintic(scene, ways).flights
@@ -149,11 +169,12 @@ def _quintic_samples(scene: Scene, travel: Travel, drone: int, route: Sequence[i
     return corrected_samples(scene, travel, drone, route, samples)
 
 
-def _ruckig(scene: Scene, ways: Mapping[int, Waypoints]) -> dict[str, Flight]:
+def _ruckig(scene: Scene, ways: Mapping[int, Waypoints], deadline: Deadline) -> dict[str, Flight]:
     from flockopt.flights.laws import ruckig_law
 
     flights = {}
     for index, waypoints in ways.items():
+        deadline.check(DOING)
         drone = scene.drones[index]
         flight = fly(scene, drone, waypoints, law=ruckig_law.fly_polyline)
         if flight.curve.num_pieces > MOST_PIECES:
@@ -171,17 +192,8 @@ LAWS: dict[str, Law] = {
 }
 
 
-def _stay(scene: Scene, drone: Drone, waypoints: Waypoints) -> Flight:
-    """The flight of a drone that serves its tasks where it stands, or brakes to a halt and returns."""
-    from flockopt.flights.laws.attempt import Trial
-    from flockopt.flights.laws.fly_through import fly_polyline
-
-    if np.any(drone.velocity) or np.any(drone.acceleration):
-        start = waypoints.points[0]
-        there = start + np.array(drone.velocity) * drone.max_speed / drone.flyable_acceleration
-        rest_s = np.array([FLY_THROUGH, FLY_THROUGH, 0.0])
-        loop = Waypoints(np.array([start, there, start]), rest_s, ((), (), waypoints.tasks[0]))
-        return Trial.make(loop, Room.around(scene, drone, loop), fly_polyline).flight(scene)
+def _stay(waypoints: Waypoints, scene: Scene) -> Flight:
+    """The flight of a drone that serves its tasks where it stands."""
     seconds = max(float(waypoints.rest_s[0]), SHORTEST_FLIGHT_S)
     curve = Curve(np.array([0.0, seconds]), waypoints.points[0].reshape(1, 3, 1))
     return Flight(curve, waypoints.visits(scene, np.zeros(1)))

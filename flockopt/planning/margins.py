@@ -18,6 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.bundles import Bundles
 from flockopt.certificate import Certificate
 from flockopt.geometry.distances import distances
@@ -57,7 +58,9 @@ def is_enough(certificate: Certificate) -> bool:
     return all(clause.name in ALLOCATED for clause in certificate.failed)
 
 
-def roomier(scene: Scene, travel: Travel, bundles: Bundles, clearance_m: float, separation_m: float) -> tuple[Scene, Travel]:
+def roomier(
+    scene: Scene, travel: Travel, bundles: Bundles, clearance_m: float, separation_m: float, deadline: Deadline = NEVER
+) -> tuple[Scene, Travel]:
     """A scene that asks for more room, and the ways of the bundles in it.
 
     Args:
@@ -66,6 +69,7 @@ def roomier(scene: Scene, travel: Travel, bundles: Bundles, clearance_m: float, 
         bundles: Which drone visits what.
         clearance_m: How much more clearance to ask for, metres.
         separation_m: How much more separation, metres.
+        deadline: When to give up.
 
     Returns:
         The scene and its travel, of which only the bundles' own legs are to be used; what was given where both are 0.
@@ -76,7 +80,7 @@ def roomier(scene: Scene, travel: Travel, bundles: Bundles, clearance_m: float, 
     growth = _growth(scene, bundles, clearance_m)
     for _ in range(ROUNDS):
         grown = _grown(wide, growth, clearance_m)
-        ways = compute_travel(grown, routes=bundles.routes)
+        ways = compute_travel(grown, routes=bundles.routes, deadline=deadline)
         tight = _in_the_way(scene, travel, ways, bundles, growth, clearance_m)
         if not tight.any():
             return grown, ways

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from flockopt.bundles import Bound
+from flockopt.batches.deadline import Deadline, OutOfTime
+from flockopt.bundles import Bound, Bundles
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.certificate import Plan
 from flockopt.flights.smoothing.casadi_program import load_casadi
+from flockopt.planning.entries import PLANNING, entries_of
 from flockopt.planning.feasibility import grounded_in_the_way
-from flockopt.planning.finish import Clock, DecodedFlights, GivenFlights, Reporter, finish
+from flockopt.planning.finish import Clock, DecodedFlights, GivenFlights, Reporter, draft, finish, out_of_time
 from flockopt.planning.planners import Planner, Proposal, Request, find_planner
 from flockopt.planning.settings import PlanSettings
 from flockopt.planning.workplace import Workplace
@@ -24,6 +26,15 @@ __all__ = ["plan"]
 
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
 ALLOCATION_SHARE = 0.7
+
+#: Share of what is left of a time limit that a bound may take; flights are still to come.
+BOUND_SHARE = 0.3
+
+#: What is all but done may end so much later than a time limit, seconds: so small scenes are planned under any limit.
+GRACE_S = 0.05
+
+#: The same of planning where a plan is handed back into another frame, and judged there once more.
+PLANNING_SHARE = 0.85
 
 #: What the allocation has at least, seconds, when a time limit is all but used up.
 LEAST_ALLOCATION_S = 1e-3
@@ -41,8 +52,9 @@ def plan(scene: Scene, settings: PlanSettings | None = None, *, progress: Report
 
     Returns:
         A plan whose status is ``certified`` if every clause of its certificate holds, ``uncertified`` if the
-        certificate names clauses that fail, or ``infeasible`` with the reason and without flights. It records what steered it
-        (`Plan.settings`).
+        certificate names clauses that fail, or ``infeasible`` with the reason and without flights. Where the time limit passes
+        before there is a plan to judge, it is ``uncertified``, and its reason says what was not finished. It records what
+        steered it (`Plan.settings`).
 
     Raises:
         SettingsError: On a setting that is none or out of range, an unknown planner, or paths or a backend that the planner
@@ -54,36 +66,55 @@ def plan(scene: Scene, settings: PlanSettings | None = None, *, progress: Report
     planner.check(settings.paths, settings.backend)
     if settings.smoothing:
         load_casadi()
-    clock = Clock(progress)
+    limit_s = settings.time_limit_s
+    if limit_s is not None:
+        for entry in entries_of(PLANNING).values():
+            entry.compile()
+    clock = Clock(progress, Deadline.after(None if limit_s is None else limit_s + GRACE_S))
     workplace = Workplace.of(scene)
     hopeless = grounded_in_the_way(workplace.scene)
     if hopeless is not None:
         result = finish(workplace.scene, straight_travel(workplace.scene), hopeless, GivenFlights(), planner=planner.name)
         return replace(workplace.handed_back(result, scene), settings=settings.to_dict(), timing=clock.timing())
-    with clock.stage("travel", 0.0):
-        travel = compute_travel(workplace.scene)
-    result = _planned(workplace.scene, travel, planner, settings, clock)
-    if not workplace.is_asked:
-        with clock.stage("certify", 0.98):
-            result = workplace.handed_back(result, scene, travel)
-    return replace(result, timing=clock.timing())
+    try:
+        with clock.stage("travel", 0.0):
+            travel = compute_travel(workplace.scene, deadline=clock.deadline)
+        with clock.within(1.0 if workplace.is_asked else PLANNING_SHARE):
+            result = _planned(workplace.scene, travel, planner, settings, clock)
+        if not workplace.is_asked:
+            with clock.stage("certify", 0.98):
+                result = workplace.handed_back(result, scene, travel, clock.deadline)
+    except OutOfTime as fault:
+        nobody = Bundles(((),) * scene.num_drones)
+        result = replace(draft(scene, planner.name, nobody), reason=out_of_time(fault, clock))
+    return replace(result, settings=result.settings or settings.to_dict(), timing=clock.timing())
 
 
 def _planned(scene: Scene, travel: Travel, planner: Planner, settings: PlanSettings, clock: Clock) -> Plan:
     """What a planner proposes made a plan; where that is not certified, what another one does."""
-    with clock.stage("allocate", 0.1):
-        limit_s = settings.time_limit_s
-        left_s = None if limit_s is None else max(ALLOCATION_SHARE * (limit_s - clock.total), LEAST_ALLOCATION_S)
-        margin_m = settings.tracking_margin_m
+    result, proposal = _asked(scene, travel, planner, settings, clock, "allocate")
+    if result.status == Status.CERTIFIED or proposal.otherwise is None:
+        return result
+    try:
+        with clock.stage("fallback", 0.95):
+            other, _ = _asked(scene, travel, proposal.otherwise, settings, Clock(deadline=clock.deadline), "fallback")
+    except OutOfTime:
+        return result
+    return replace(other, planner=planner.name) if other.status == Status.CERTIFIED else result
+
+
+def _asked(
+    scene: Scene, travel: Travel, planner: Planner, settings: PlanSettings, clock: Clock, stage: str
+) -> tuple[Plan, Proposal]:
+    """A planner's proposal, and the plan that comes of it."""
+    with clock.stage(stage, 0.1):
+        margin_m, left_s = settings.tracking_margin_m, None
+        if not clock.deadline.is_never:
+            left_s = max(ALLOCATION_SHARE * (clock.deadline.left_s - GRACE_S), LEAST_ALLOCATION_S)
         request = Request(scene, travel, left_s, settings.seed, settings.paths, margin_m, settings.backend)
         proposal = planner.propose(request)
     clock.seconds.update({"generate": 0.0, **proposal.timing})
-    result = _finished(request, planner.name, proposal, settings, clock)
-    if result.status != Status.CERTIFIED and proposal.otherwise is not None:
-        with clock.stage("fallback", 0.95):
-            other = _finished(request, planner.name, proposal.otherwise.propose(request), settings, Clock())
-        result = other if other.status == Status.CERTIFIED else result
-    return result
+    return _finished(request, planner.name, proposal, settings, clock), proposal
 
 
 def _finished(request: Request, planner: str, proposal: Proposal, settings: PlanSettings, clock: Clock) -> Plan:
@@ -110,4 +141,5 @@ def _proof(request: Request, proposal: Proposal, bound: str, clock: Clock) -> Bo
     with clock.stage("bound", 0.5):
         if proposal.bound is not None:
             return proposal.bound
-        return lower_bound(request.scene, request.travel, bound=bound, upper=request.travel.total(bundles.routes))
+        upper, deadline = request.travel.total(bundles.routes), clock.deadline.within(BOUND_SHARE)
+        return lower_bound(request.scene, request.travel, bound=bound, upper=upper, deadline=deadline)

@@ -22,8 +22,8 @@ class PlanSettings:
     Attributes:
         planner: Who proposes: a `Planner`, the name of one (`flockopt.planning.planners.planner_names`), or None for the ready
             one of the highest rank.
-        time_limit_s: Seconds for the whole plan; None lets the planner stop by its own measure, which makes the answer the
-            same on every machine.
+        time_limit_s: Seconds for the whole plan, once flockopt's compiled code is loaded; None lets the planner stop by its own
+            measure, which makes the answer the same on every machine.
         seed: For everything random.
         bound: How hard to prove a lower bound, one of ``fast``, ``tight``, ``exact``: see
             `flockopt.bundles.bounds.bounds.lower_bound`. A planner that proves one itself (``exact``) is not asked again.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.certificate import Plan
 from flockopt.certificate.judge import certify
 from flockopt.certificate.placement import flights_from
@@ -51,13 +52,17 @@ class Workplace:
         kept = {task.id for task in left.tasks}
         return self.asked.replace(tasks=tuple(task for task in self.asked.tasks if task.id in kept))
 
-    def handed_back(self, plan: Plan, asked: Scene, travel: Travel | None = None) -> Plan:
+    def handed_back(self, plan: Plan, asked: Scene, travel: Travel | None = None, deadline: Deadline = NEVER) -> Plan:
         """The plan for the scene that is asked about, judged anew unless that is the one that was planned.
 
         Args:
             plan: What was planned.
             asked: The scene that is asked about (`asked_about`).
             travel: Of the scene that was planned; computed when left out.
+            deadline: When to give up.
+
+        Raises:
+            OutOfTime: If the deadline passes.
         """
         if self.is_asked:
             return plan
@@ -65,5 +70,5 @@ class Workplace:
         plan = replace(plan, scene_name=asked.name, scene_sha256=asked.sha256, flights=flights)
         if plan.status == Status.INFEASIBLE:
             return plan
-        certificate = certify(asked, plan, travel=travel)
+        certificate = certify(asked, plan, travel=travel, deadline=deadline)
         return replace(plan, status=Status.CERTIFIED if certificate.certified else Status.UNCERTIFIED, certificate=certificate)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.geometry.distances import distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
@@ -28,7 +29,7 @@ MARGIN_SHARE = 0.05
 SMALLER_MARGINS = (0.2, 0.02, 0.0)
 
 
-def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = None) -> Travel:
+def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = None, deadline: Deadline = NEVER) -> Travel:
     """Shortest any-angle distances and paths that keep clear of obstacles and within bounds.
 
     Each obstacle is kept at ``radius + clearance`` and a margin of up to `MOST_MARGIN_M`, less where a start, an
@@ -39,6 +40,7 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
         scene: The scene.
         routes: Where only the legs of these routes are wanted, one route of task indices a drone; what other distances
             there are is then left open.
+        deadline: When to give up.
     """
     if not scene.obstacles:
         return straight_travel(scene)

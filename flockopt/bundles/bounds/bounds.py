@@ -124,21 +124,21 @@ def _priced(scene: Scene, travel: Travel, upper: float, rounds: int, good: Float
     return Bound("ng-route", value, prices) if value > best.value else best
 
 
-def first_prices(scene: Scene, travel: Travel, upper: float = math.inf) -> FloatArray:
+def first_prices(scene: Scene, travel: Travel, upper: float = math.inf, deadline: Deadline = NEVER) -> FloatArray:
     """Prices of tasks (M,) that prove about the forest's bound when routes are priced with them."""
-    return _forest(scene, travel, upper, None, NEVER)[1]
+    return _forest(scene, travel, upper, None, deadline)[1]
 
 
 def _forest(scene: Scene, travel: Travel, upper: float, rounds: int | None, deadline: Deadline) -> tuple[Bound, FloatArray]:
     """The forest's bound, and prices of tasks (M,) for routes."""
     num_tasks, num = scene.num_tasks, scene.num_tasks + scene.num_drones
+    legs = max(num_tasks * (num_tasks + 2 * scene.num_drones), 1)
     if rounds is None:
-        legs = max(num_tasks * (num_tasks + 2 * scene.num_drones), 1)
         rounds = min(max(FOREST_ROUNDS, FOREST_LEGS // legs), MOST_FOREST_ROUNDS)
     relaxed = _relaxed(scene, travel)
     ascent, prices, direction, best = begin(), np.zeros(num), np.zeros(num), np.zeros(num)
     try:
-        for first, last in deadline.slices(rounds, "proving a bound"):
+        for first, last in deadline.slices(rounds, "proving a bound", first=1 + FOREST_LEGS // legs):
             goes_on = forest.ascend(*relaxed, last - first, min(upper, travel_ceiling(travel)), ascent, prices, direction, best)
             if not goes_on:
                 break
@@ -172,6 +172,8 @@ def _relaxed(scene: Scene, travel: Travel) -> tuple[FloatArray, FloatArray, Floa
 
 def _affordable_rounds(scene: Scene, travel: Travel) -> int:
     """How many times ng-routes may be priced in next to no time."""
+    if not scene.num_tasks:
+        return 0
     demands, capacities = route_loads(scene)
     lightest = np.cumsum(np.sort(demands))
     cost = 0.0

@@ -141,7 +141,8 @@ def grow(group: DroneGroup, prices: FloatArray, initial: FloatArray | None = Non
             )  # fmt: skip
             if load < last:
                 labels = Labels(first, *(np.concatenate([array, np.empty_like(array)]) for array in labels[1:]))
-    return Labels(first, *(array[: first[-1]] for array in labels[1:]))
+    count = first[-1]
+    return Labels(first, labels.costs[:count], labels.fronts[:count], labels.memories[:count], labels.parents[:count])
 
 
 def evaluate(groups: list[DroneGroup], prices: FloatArray, deadline: Deadline = NEVER) -> tuple[float, FloatArray]:

@@ -15,12 +15,12 @@ it is what the status ``"optimal"`` stands on.
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from flockopt.batches.deadline import Deadline
+from flockopt.batches.deadline import Deadline, OutOfTime, heard
 from flockopt.bundles import Bound, Bundles
 from flockopt.bundles.bounds.bounds import first_prices, forest_bound
 from flockopt.bundles.bounds.pricing import DroneGroup, ascend_prices, group_drones, travel_ceiling
@@ -97,17 +97,15 @@ def solve_exact(
     """
     if time_limit_s is not None and not time_limit_s >= 0.0:
         raise SettingsError("time_limit_s", f"is {time_limit_s!r}", "must be seconds >= 0 or None", "raise it")
-    deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s
+    deadline = Deadline.after(time_limit_s)
     best = _first_allocation(scene, travel, warm_start, time_limit_s, seed)
     upper = math.inf if best.status != Status.FEASIBLE else travel.total(best.routes)
     if not scene.num_tasks:
         best = replace(best, status=Status.OPTIMAL if upper < math.inf else best.status)
-        return ExactResult(best, Bound("ng-route", 0.0, np.empty(0)), upper, best.status)
+        return ExactResult(best, forest_bound(scene, travel, rounds=0), upper, best.status)
     ceiling = min(upper, travel_ceiling(travel))
-    groups, prices = group_drones(scene, travel), first_prices(scene, travel, ceiling)
-    value, prices = ascend_prices(
-        groups, prices, rounds=ROUNDS, upper=ceiling, cooling=COOLING, deadline=Deadline.after(deadline - time.monotonic())
-    )
+    groups, prices = group_drones(scene, travel), first_prices(scene, travel, ceiling, deadline)
+    value, prices = ascend_prices(groups, prices, rounds=ROUNDS, upper=ceiling, cooling=COOLING, deadline=deadline)
     if value == -math.inf:  # no time for one round
         bound = forest_bound(scene, travel, rounds=0)
         return ExactResult(best, bound, bound.value, best.status)
@@ -143,7 +141,7 @@ class _Lists:
     prices: FloatArray  # (M,) m
     value: float  # m, the bound they prove
     ceiling: float  # m, what the best allocation does not exceed if there is one
-    deadline: float  # of `time.monotonic`
+    deadline: Deadline
 
     def close(self, best: Bundles, upper: float) -> tuple[Bundles, float]:
         """The best allocation, labelled, and the bound proven for it, metres; ``upper`` is the travel of ``best``."""
@@ -154,8 +152,12 @@ class _Lists:
         fleet = RouteRules(self.scene.demands, self.scene.capacities, ~(self.travel.start_end <= longest))
         widest = (1.0 + OPTIMAL_GAP) * self.ceiling - self.value  # all that an allocation can use
         gap = min(widest, max(FIRST_GAP_SHARE * abs(proven), LEAST_GAP_M))
-        while widest >= 0.0 and not _closed(upper, proven) and time.monotonic() < self.deadline:
-            pool = enumerate_routes(self.groups, self.prices, gap, longest, limit)
+        while widest >= 0.0 and not _closed(upper, proven) and not self.deadline.is_over:
+            try:
+                listing = partial(enumerate_routes, self.groups, self.prices, gap, longest, limit)
+                pool = heard(listing, deadline=self.deadline, doing="listing routes")
+            except OutOfTime:
+                break
             if pool is None:
                 too_wide, gap = gap if limit == MOST_ROUTES else math.inf, gap / OVERFLOW_SHRINK
                 if gap < LEAST_GAP_M:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flockopt.batches.deadline import heard
 from flockopt.errors import MissingExtra, SolverFailed
 from flockopt.records.arrays import FloatArray
 
@@ -110,7 +111,7 @@ class HighsProgram:
         return self._run()
 
     def _run(self) -> Solution:
-        self._check(self._highs.run(), "the run ended in an error")
+        self._check(heard(self._highs.run), "the run ended in an error")
         status, statuses = self._highs.getModelStatus(), self._api.HighsModelStatus
         if status in (statuses.kInfeasible, statuses.kObjectiveBound):
             return Solution("infeasible", None, np.empty(0), np.inf)

@@ -10,12 +10,12 @@ pool, never read from the solver; branch and bound is taken at its word.
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flockopt.batches.deadline import Deadline
 from flockopt.bundles.exact.cuts import Cuts, no_cuts, violated_cuts
 from flockopt.bundles.exact.enumeration import Pool
 from flockopt.bundles.exact.highs import HighsProgram, Solution
@@ -66,7 +66,7 @@ class Choice:
 
 
 def choose_routes(
-    pool: Pool, fleet: RouteRules, prices: FloatArray, least_slack: float, upper: float, deadline: float
+    pool: Pool, fleet: RouteRules, prices: FloatArray, least_slack: float, upper: float, deadline: Deadline
 ) -> Choice:
     """The cheapest routes that serve every task once.
 
@@ -76,7 +76,7 @@ def choose_routes(
         prices: (M,) m, under which the pool was listed.
         least_slack: Only choices with a route of more slack under these prices are asked for, metres.
         upper: Only choices cheaper than this are asked for, metres above idle flying; may be infinite.
-        deadline: `time.monotonic` at which to stop.
+        deadline: When to stop.
 
     Raises:
         MissingExtra: If highspy is not installed.
@@ -86,7 +86,7 @@ def choose_routes(
     best, most, rounds = None, BRANCHED_ROUTES, 0
     while True:
         shares = relaxation.solve()
-        if shares is None or relaxation.bound >= upper or time.monotonic() > deadline:
+        if shares is None or relaxation.bound >= upper or deadline.is_over:
             return Choice(min(relaxation.bound, upper), best)
         used = np.flatnonzero(shares > INTEGRALITY)
         if (shares[used] > 1.0 - INTEGRALITY).all():
@@ -97,7 +97,7 @@ def choose_routes(
         if len(needed) > most and rounds < CUT_ROUNDS and relaxation.cut(used, shares[used]):
             rounds += 1
             continue
-        solution = relaxation.integer_program(needed[:most]).solve_integer(upper, deadline - time.monotonic())
+        solution = relaxation.integer_program(needed[:most]).solve_integer(upper, deadline.left_s)
         if solution.values is not None:
             chosen = needed[:most][solution.values > 0.5]
             _check_choice(pool.take(chosen), fleet)
@@ -122,7 +122,7 @@ def _check_choice(routes: Pool, fleet: RouteRules) -> None:
 class _Relaxation:
     """The linear relaxation over a pool and what its last duals prove."""
 
-    def __init__(self, pool: Pool, fleet: RouteRules, prices: FloatArray, least_slack: float, deadline: float) -> None:
+    def __init__(self, pool: Pool, fleet: RouteRules, prices: FloatArray, least_slack: float, deadline: Deadline) -> None:
         self.pool, self.fleet, self.deadline = pool, fleet, deadline
         self.num_tasks, self.num_rows = len(prices), len(prices) + len(fleet.must_fly)
         self.cuts = no_cuts(len(pool))
@@ -143,7 +143,7 @@ class _Relaxation:
     def solve(self) -> FloatArray | None:
         """(R,) shares of the routes, and ``bound`` and ``slacks`` anew; None where there are none or no time is left."""
         while True:
-            solution = self.program.solve_linear(self.deadline - time.monotonic())
+            solution = self.program.solve_linear(self.deadline.left_s)
             if solution.status == "stopped":
                 return None
             wanted = self._wanted(solution)

@@ -66,7 +66,7 @@ def _rehashed(table: NDArray[np.int64], fronts: NDArray[np.int64], sets: NDArray
     return bigger
 
 
-@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, INTEGERS_1, FLOATS_2, types.float64, types.int64)
+@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, INTEGERS_1, FLOATS_2, types.float64, types.int64, nogil=True)
 def grow_tails(
     between: FloatArray,
     initial: FloatArray,
@@ -141,6 +141,7 @@ def grow_tails(
 
 @compiled_for(
     INTEGERS_1, FLOATS_1, INTEGERS_1, FLOATS_1, FLOATS_2, FLOATS_1, INTEGERS_1, FLOATS_1, types.float64, types.int64,
+    nogil=True,
 )  # fmt: skip
 def match_starts(
     fronts: NDArray[np.int64],

@@ -10,6 +10,7 @@ import numpy as np
 from numba import types
 
 from flockopt.batches.compiled import compiled_for, record_of
+from flockopt.batches.deadline import NEVER, SLICE_S
 from flockopt.bundles.request import RouteTuple
 from flockopt.bundles.search.construct import build_routes
 from flockopt.bundles.search.matching import MATCHING, Matching, match_tails, matching_scratch
@@ -44,6 +45,12 @@ MEAN_RUINED, BLINK_SHARE, MATCH_SHARE = 6.0, 0.01, 0.5
 
 #: Under a time limit: iterations before the clock is read first, and share of the time between later readings.
 FIRST_ITERATIONS, CLOCK_SHARE = 32, 0.04
+
+#: Iterations before an interrupt from the keyboard is heard first.
+FIRST_SLICE = 1000
+
+#: What it does, for those who give it a deadline.
+DOING = "sharing out the tasks"
 
 #: Iterations for every task where neither iterations nor a time limit are asked for: about half a millisecond.
 ITERATIONS_A_TASK = 150
@@ -125,7 +132,7 @@ class _Clock:
         step = self._iterations * until - self._done
         if self.is_timed:
             pace = self._step / max(now - self._asked, 1e-9)
-            seconds = min(CLOCK_SHARE * self._limit_s, until * self._limit_s - (now - self._began))
+            seconds = min(CLOCK_SHARE * self._limit_s, SLICE_S, until * self._limit_s - (now - self._began))
             step = min(step, pace * seconds if self._done else FIRST_ITERATIONS)
         self._asked, self._step = now, max(1, math.ceil(step))
         self._done += self._step
@@ -148,9 +155,12 @@ class _Annealer:
             step = clock.step(end)
             temperature = self._scale * first_heat * (last_heat / first_heat) ** ((share - begin) / (end - begin))
             cooling = 1.0 if clock.is_timed else (last_heat / first_heat) ** (1.0 / step)
-            stretch = Stretch(step, temperature, cooling, MEAN_RUINED, BLINK_SHARE, MATCH_SHARE, self._from_best)
-            state = self._problem, self._routes, self._matching, self.best_after
-            self._best_cost, self._from_best = _anneal(*state, self._best_cost, stretch), False
+            cost = math.nan
+            for first, last in NEVER.slices(step, DOING, FIRST_SLICE):
+                stretch = Stretch(last - first, temperature, cooling, MEAN_RUINED, BLINK_SHARE, MATCH_SHARE, self._from_best)
+                state = self._problem, self._routes, self._matching, self.best_after
+                cost, self._best_cost, temperature = _anneal(*state, cost, self._best_cost, stretch)
+                self._from_best = False
 
     def return_to_best(self) -> None:
         """Go on from the best solution, if at all."""
@@ -172,14 +182,26 @@ def _extract(problem: Problem, after: IntArray) -> RouteTuple:
     return tuple(routes)
 
 
-@compiled_for(PROBLEM, ROUTES, MATCHING, INDICES_1, types.float64, STRETCH, **OPTIONS)
+@compiled_for(PROBLEM, ROUTES, MATCHING, INDICES_1, types.float64, types.float64, STRETCH, **OPTIONS)
 def _anneal(
-    problem: Problem, routes: Routes, matching: Matching, best_after: IntArray, best_cost: float, stretch: Stretch
-) -> float:
-    """Ruin, recreate, match; returns the best cost and leaves its links in ``best_after``."""
+    problem: Problem,
+    routes: Routes,
+    matching: Matching,
+    best_after: IntArray,
+    known_cost: float,
+    best_cost: float,
+    stretch: Stretch,
+) -> tuple[float, float, float]:
+    """Ruin, recreate, match; leaves the best solution's links in ``best_after``.
+
+    ``known_cost`` is what the solution costs, not a number where that is to be summed up. Returns what it costs in the end, the
+    best cost, and the temperature that was come to.
+    """
     if stretch.from_best:
         adopt(problem, routes, best_after)
-    cost, temperature = total_cost(problem, routes), stretch.temperature
+    cost, temperature = known_cost, stretch.temperature
+    if stretch.from_best or np.isnan(cost):
+        cost = total_cost(problem, routes)
     for _ in range(stretch.iterations):
         num_waited = routes.counters[NUM_WAITING]
         change = ruin(problem, routes, stretch.mean_ruined)
@@ -197,4 +219,4 @@ def _anneal(
             for node in range(len(best_after)):
                 best_after[node] = routes.after[node]
         temperature *= stretch.cooling
-    return best_cost
+    return cost, best_cost, temperature

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.bundles import Bundles
 from flockopt.flights import Flight
 from flockopt.flights.apart.detour import Detours
@@ -50,6 +51,7 @@ def deconflict(
     *,
     travel: Travel | None = None,
     airborne: Collection[str] = (),
+    deadline: Deadline = NEVER,
 ) -> Deconflicted:
     """Keep all drones apart over the whole time, parked ones included.
 
@@ -59,11 +61,15 @@ def deconflict(
         flights: One flight for each drone that moves, by id, as from `decode`; all begin at t = 0.
         travel: The scene's travel, if it is already there.
         airborne: Ids of drones that may make way although they have no capacity: it is used up, and they hover.
+        deadline: When to give up.
 
     Returns:
         The flights, delayed, slowed or rerouted; every pair that could not be kept apart is listed, never hidden.
+
+    Raises:
+        OutOfTime: If the deadline passes.
     """
-    fleet = TimedFleet(scene, flights)
+    fleet = TimedFleet(scene, flights, deadline)
     if not fleet.meeting():
         return Deconflicted(flights, ())
     detours = Detours(scene, bundles, compute_travel(scene) if travel is None else travel, airborne)
@@ -77,5 +83,6 @@ def deconflict(
         drone, flight = change
         fleet.replace(drone, flight)
     timed = fleet.timed_flights()
-    left = [Conflict((scene.drones[a].id, scene.drones[b].id), time) for a, b, time in TimedFleet(scene, timed).conflicts()]
+    met = TimedFleet(scene, timed, deadline).conflicts()
+    left = [Conflict((scene.drones[a].id, scene.drones[b].id), time) for a, b, time in met]
     return Deconflicted(timed, tuple(left))

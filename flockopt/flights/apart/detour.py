@@ -71,13 +71,12 @@ class Detours:
             flight = self._moved_on(drone, own, curves)
             if flight is not None:
                 return drone, flight
-        if meeting_s < 0.0:
-            return None
-        for one, other in ((drone, blocker), (blocker, drone)):
+        for one, other in ((drone, blocker), (blocker, drone)) if meeting_s >= 0.0 else ():
             flight = self._around(one, other, _position(curves[other], meeting_s)) if self._travels(one) else None
             if flight is not None:
                 return one, flight
-        return None
+        flight = self._moved_on(blocker, parking, curves)  # beside the other's way, which cannot lead around it
+        return None if flight is None else (blocker, flight)
 
     def _moved_on(self, drone: int, parking: FloatArray, curves: list[tuple[FloatArray, FloatArray]]) -> Flight | None:
         """The flight of a drone that leaves the place where it would park; None if it may not, or did already."""
@@ -110,20 +109,26 @@ class Detours:
         if is_known or self._inside(self._anchors(drone), center, drone, other).any():
             return None
         avoided.append((other, center))
-        waypoints = self._waypoints(drone)
-        if waypoints is None:
+        flight = self._flown(drone)
+        if flight is None:
             avoided.pop()
+        return flight
+
+    def _flown(self, drone: int) -> Flight | None:
+        """The drone's flight as it is led now; None if there is no way, or none that is short enough for it."""
+        waypoints, record = self._waypoints(drone), self.scene.drones[drone]
+        if waypoints is None:
             return None
-        return fly(self.scene, self.scene.drones[drone], waypoints, self._balls(drone))
+        flight = fly(self.scene, record, waypoints, self._balls(drone))
+        return None if record.max_distance is not None and flight.curve.length > record.max_distance else flight
 
     def _onward(self, drone: int, spot: FloatArray) -> Flight | None:
         """The drone's flight with a last leg on to a free spot; None if what it avoids closes the way there."""
         self.spots[drone] = spot
-        waypoints = self._waypoints(drone)
-        if waypoints is None:
+        flight = self._flown(drone)
+        if flight is None:
             del self.spots[drone]
-            return None
-        return fly(self.scene, self.scene.drones[drone], waypoints, self._balls(drone))
+        return flight
 
     def _balls(self, drone: int) -> FloatArray:
         """What the drone is to avoid, as obstacle rows: balls that hold the ellipsoid that it keeps from the other."""

@@ -8,8 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.errors import MissingExtra
 from flockopt.flights import Curve, Flight, Visit
+from flockopt.flights.apart.schedule import DOING, schedule
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.scene.apart import least_resting_share
@@ -46,10 +48,10 @@ class Timing:
 class TimedFleet:
     """All drones' curves as arrays, their timing, and who meets whom."""
 
-    def __init__(self, scene: Scene, flights: dict[str, Flight]) -> None:
+    def __init__(self, scene: Scene, flights: dict[str, Flight], deadline: Deadline = NEVER) -> None:
         from flockopt.geometry.continuous import parked
 
-        self.scene = scene
+        self.scene, self.deadline = scene, deadline
         self.flights = dict(flights)
         self.reserve_m = _reserve(scene)
         self._axes: dict[float, FloatArray] = {}  # by the sum of two radii
@@ -110,13 +112,12 @@ class TimedFleet:
 
     def _scheduled(self) -> bool:
         """Delay flights as the scheduling model says; False where it finds nothing or is not installed."""
-        from flockopt.flights.apart.schedule import schedule
-
         longest = max(float(curve[0][-1]) for curve in self.curves)
         step = self._delay_step(longest)
         waits = [self.moves(drone) and not self._in_motion(drone) for drone in range(len(self.curves))]
         try:
-            delays = schedule(self.curves, waits, self.axes, step, int(np.ceil(LONGEST_WAIT * longest / step)))
+            most = int(np.ceil(LONGEST_WAIT * longest / step))
+            delays = schedule(self.curves, waits, self.axes, step, most, self.deadline)
         except MissingExtra:
             return False
         if delays is None:
@@ -158,6 +159,7 @@ class TimedFleet:
         """Give one drone the earliest finish apart from those already timed; else name who blocks it to the last."""
         blocker = None
         for timing in self._options(drone, timed):
+            self.deadline.check(DOING)
             order = timed if blocker is None else [blocker, *timed]
             blocker = next((other for other in order if not self.apart(drone, timing, other, self.timing[other])), None)
             if blocker is None:
@@ -192,8 +194,13 @@ class TimedFleet:
     def conflicts(self) -> list[tuple[int, int, float]]:
         """All pairs of drones that come too close at their present timing, and when they first do, seconds."""
         pairs = combinations(range(len(self.curves)), 2)
-        times = [(a, b, self._meeting_time(a, self.timing[a], b, self.timing[b])) for a, b in pairs]
-        return [(a, b, time) for a, b, time in times if time >= 0.0]
+        found = []
+        for a, b in pairs:
+            self.deadline.check(DOING)
+            time = self._meeting_time(a, self.timing[a], b, self.timing[b])
+            if time >= 0.0:
+                found.append((a, b, time))
+        return found
 
 
 def _reserve(scene: Scene) -> float:

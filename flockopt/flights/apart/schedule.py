@@ -10,21 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from flockopt.batches import cp_sat
 from flockopt.batches.compiled import FLOATS_1, FLOATS_3, compiled_for
-from flockopt.errors import SolverFailed, require
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.geometry.continuous import first_conflict
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["meeting_steps", "schedule"]
+__all__ = ["DOING", "meeting_steps", "schedule"]
 
 Curves = Sequence[tuple[FloatArray, FloatArray]]
 Axes = Callable[[int, int], FloatArray]
+
+#: What it does, for those who give it a deadline.
+DOING = "keeping drones apart"
 
 #: Work CP-SAT may do on one schedule, in its own deterministic seconds: the answer is the same on every machine.
 DETERMINISTIC_SECONDS = 2.0
@@ -59,7 +62,9 @@ def meeting_steps(
     return result
 
 
-def schedule(curves: Curves, moving: Sequence[bool], axes: Axes, step_s: float, most: int) -> FloatArray | None:
+def schedule(
+    curves: Curves, moving: Sequence[bool], axes: Axes, step_s: float, most: int, deadline: Deadline = NEVER
+) -> FloatArray | None:
     """Delays, seconds, of least makespan at which no two drones meet.
 
     Args:
@@ -68,12 +73,14 @@ def schedule(curves: Curves, moving: Sequence[bool], axes: Axes, step_s: float, 
         axes: From two drones to the (3,) m half axes of what they keep between them.
         step_s: Delays are whole numbers of this many seconds.
         most: The longest delay, in steps.
+        deadline: When to give up.
 
     Returns:
         (N,) s, or None if no delays of at most ``most`` steps keep all apart (or none was found in time).
 
     Raises:
         MissingExtra: If OR-Tools is not installed.
+        OutOfTime: If the deadline passes.
     """
     pairs = list(combinations(range(len(curves)), 2))
     tables: dict[tuple[int, int], NDArray[np.bool_]] = {}
@@ -83,8 +90,10 @@ def schedule(curves: Curves, moving: Sequence[bool], axes: Axes, step_s: float, 
         if not met:
             return delays
         for a, b in met:
+            deadline.check(DOING)
             tables[a, b] = meeting_steps(*curves[a], *curves[b], axes(a, b), step_s, most)
-        answer = _solve(tables, [curve[0][-1] / step_s for curve in curves], moving, most)
+        answer = _solve(tables, [curve[0][-1] / step_s for curve in curves], moving, most, deadline)
+        deadline.check(DOING)
         if answer is None:
             return None
         delays = answer.astype(np.float64) * step_s
@@ -96,10 +105,14 @@ def _meet(curves: Curves, axes: Axes, delays: FloatArray, a: int, b: int) -> boo
 
 
 def _solve(
-    tables: dict[tuple[int, int], NDArray[np.bool_]], durations: Sequence[float], moving: Sequence[bool], most: int
+    tables: dict[tuple[int, int], NDArray[np.bool_]],
+    durations: Sequence[float],
+    moving: Sequence[bool],
+    most: int,
+    deadline: Deadline,
 ) -> NDArray[np.int64] | None:
     """Delays in steps that keep every tabulated pair apart, or None."""
-    cp_model: Any = require("ortools.sat.python.cp_model", extra="solvers")
+    cp_model = cp_sat.cp_model()
     model = cp_model.CpModel()
     delays = [model.new_int_var(0, most if moves else 0, f"delay_{i}") for i, moves in enumerate(moving)]
     makespan = model.new_int_var(0, int(max(durations)) + most + 2, "makespan")
@@ -109,13 +122,7 @@ def _solve(
         apart = np.flatnonzero(~meets) - most
         model.add_linear_expression_in_domain(delays[a] - delays[b], cp_model.Domain.from_values(apart.tolist()))
     model.minimize(MAKESPAN_WEIGHT * makespan + sum(delays))
-    solver = cp_model.CpSolver()
-    solver.parameters.num_workers = 1
-    solver.parameters.random_seed = 0
-    solver.parameters.max_deterministic_time = DETERMINISTIC_SECONDS
-    status = solver.solve(model)
-    if status == cp_model.MODEL_INVALID:
-        raise SolverFailed("CP-SAT", model.validate())
+    solver, status = cp_sat.solved(model, DETERMINISTIC_SECONDS, deadline)
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return None
     return np.array([solver.value(delay) for delay in delays], dtype=np.int64)

@@ -18,13 +18,13 @@ from flockopt.flights import Curve, Flight
 from flockopt.flights.laws.corners import merged_corners
 from flockopt.flights.laws.fly_through import first_outside
 from flockopt.flights.room import MOST_PIECES, Room
-from flockopt.flights.waypoints import Waypoints
+from flockopt.flights.waypoints import FLY_THROUGH, Waypoints
 from flockopt.geometry.bernstein import control_points, largest_norm
 from flockopt.geometry.continuous import curve_clear
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 
-__all__ = ["PolylineLaw", "Trial", "first_trial", "mend_faults", "merge_close_corners", "save_pieces"]
+__all__ = ["PolylineLaw", "Trial", "first_trial", "halting_ways", "mend_faults", "merge_close_corners", "save_pieces"]
 
 #: Arguments and result as of `flockopt.flights.laws.fly_through.fly_polyline`.
 PolylineLaw: TypeAlias = Callable[
@@ -37,6 +37,9 @@ SLOWER_SHARES = (0.7, 0.45)
 
 #: Speeds tried on the first leg of a drone that starts in motion, as shares of its limit.
 ENTRY_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+
+#: Halts ahead of a drone that can enter its way in no other manner, as shares of the way it needs to brake.
+HALT_SHARES = (1.0, 1.15, 1.4, 1.8, 2.5)
 
 #: By how much the entry from a moving start may pass the limits as they are used: half of what is held in reserve.
 ENTRY_TOLERANCE = 5e-4
@@ -87,6 +90,11 @@ class Trial:
         """How long the flight takes."""
         return float(self.breakpoints[-1])
 
+    @property
+    def is_flyable(self) -> bool:
+        """Whether the limits are kept and every piece is clear."""
+        return self.fault < 0 and self.enters()
+
     def enters(self) -> bool:
         """Whether the limits are kept, which a moving start may make impossible."""
         control = control_points(self.breakpoints, self.coefficients, self.coefficients.shape[2])
@@ -123,6 +131,28 @@ def first_trial(waypoints: Waypoints, room: Room, law: PolylineLaw) -> Trial:
         if slower.enters():
             return slower
     return trial
+
+
+def halting_ways(waypoints: Waypoints, room: Room, returns: bool) -> Iterator[Waypoints]:
+    """The way of a drone in motion with a halt straight ahead before it turns to anything else, farther ahead each time.
+
+    Args:
+        waypoints: The way; a single point where the drone goes nowhere.
+        room: The drone's.
+        returns: Whether a drone that goes nowhere is to be back where it started, or to stay where it halts.
+    """
+    _, most_acceleration, most_jerk = MOVING_SHARE * room.limits
+    fading_s = float(np.linalg.norm(room.acceleration)) / most_jerk  # until the acceleration is gone, at the largest jerk
+    velocity = room.velocity + 0.5 * fading_s * room.acceleration
+    speed = float(np.linalg.norm(velocity))
+    braking_s = max(1.5 * speed / most_acceleration, np.sqrt(6.0 * speed / most_jerk))
+    ahead = (fading_s + 0.5 * braking_s) * velocity + fading_s**2 / 3.0 * room.acceleration
+    start = waypoints.points[:1]
+    after = slice(1 if waypoints.moves or not returns else 0, None)
+    rests, tasks = np.maximum(waypoints.rest_s[after], -1.0 if waypoints.moves else 0.0), waypoints.tasks[after]
+    for share in HALT_SHARES:
+        points = np.concatenate([start, start + share * ahead, waypoints.points[after]])
+        yield Waypoints(points, np.concatenate([[FLY_THROUGH, 0.0], rests]), ((), (), *tasks))
 
 
 def merge_close_corners(trial: Trial) -> Trial:

@@ -15,8 +15,19 @@ from flockopt.records import checks
 from flockopt.scene import Drone, Scene
 
 __all__ = [
-    "JERK_WEIGHT", "MISSED", "MOTIONLESS", "NOTHING_BETTER", "SMOOTHED", "TIME_WEIGHT", "TOO_HIGH", "check_smoothing",
-    "flight_cost", "improved", "shares_of", "tasks_of",
+    "JERK_WEIGHT",
+    "MISSED",
+    "MOTIONLESS",
+    "NOTHING_BETTER",
+    "NO_TIME",
+    "SMOOTHED",
+    "TIME_WEIGHT",
+    "TOO_HIGH",
+    "check_smoothing",
+    "flight_cost",
+    "improved",
+    "shares_of",
+    "tasks_of",
 ]  # fmt: skip
 
 #: Mostly time: a tenth off the duration is worth three tenths off the squared jerk's integral.
@@ -27,6 +38,7 @@ SMOOTHED = "smoothed"
 MOTIONLESS = "unchanged: it does not move"
 TOO_HIGH = "unchanged: its polynomials are of a degree above 7"
 NOTHING_BETTER = "unchanged: nothing cheaper was found that keeps to every constraint"
+NO_TIME = "unchanged: there was no time left for it"
 MISSED = "unchanged: what was found would miss a task or its rest, or be too long for its drone"
 
 #: Coefficients of the highest polynomials that plans hold.

@@ -14,6 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.errors import SettingsError
 from flockopt.flights import Flight
 from flockopt.flights.smoothing.acceptance import Weights
@@ -21,6 +22,7 @@ from flockopt.flights.smoothing.casadi_program import load_casadi
 from flockopt.flights.smoothing.casadi_stage import smooth_stage
 from flockopt.flights.smoothing.improve import (
     JERK_WEIGHT,
+    NO_TIME,
     TIME_WEIGHT,
     check_smoothing,
     flight_cost,
@@ -65,9 +67,11 @@ def smooth(
     jerk_weight: float = JERK_WEIGHT,
     jobs: int = 1,
     starts: Mapping[str, Flight] | None = None,
+    deadline: Deadline = NEVER,
 ) -> dict[str, Flight]:
     """Smoother flights: `smooth_each` without its reports, with the same arguments and errors."""
-    reports = smooth_each(scene, flights, time_weight=time_weight, jerk_weight=jerk_weight, jobs=jobs, starts=starts)
+    weights = {"time_weight": time_weight, "jerk_weight": jerk_weight}
+    reports = smooth_each(scene, flights, **weights, jobs=jobs, starts=starts, deadline=deadline)
     return {drone: report.flight for drone, report in reports.items()}
 
 
@@ -79,6 +83,7 @@ def smooth_each(
     jerk_weight: float = JERK_WEIGHT,
     jobs: int = 1,
     starts: Mapping[str, Flight] | None = None,
+    deadline: Deadline = NEVER,
 ) -> dict[str, Smoothed]:
     """Smooth flights and say what came of each.
 
@@ -90,6 +95,7 @@ def smooth_each(
         jobs: Processes; more than one pays for fleets that take seconds.
         starts: Flights for the solver to begin with in place of the given ones, by drone id; those of the same visits and
             pieces are made use of. One that is feasible and cheaper is what comes back unless a cheaper one is found.
+        deadline: The flights that are not begun by then stay as they are.
 
     Returns:
         A report for every flight. Where and when each begins, the places it serves and its rests stay the same, and so
@@ -105,7 +111,7 @@ def smooth_each(
     checks.integer(SettingsError, "jobs", jobs, least=1)
     load_casadi()
     drones, starts = {drone.id: drone for drone in scene.drones}, starts or {}
-    work = [(scene, drones[name], flight, weights, starts.get(name)) for name, flight in flights.items()]
+    work = [(scene, drones[name], flight, weights, starts.get(name), deadline) for name, flight in flights.items()]
     if jobs == 1:
         reports = [_smooth_one(*part) for part in work]
     else:
@@ -115,8 +121,12 @@ def smooth_each(
     return dict(zip(flights, reports, strict=True))
 
 
-def _smooth_one(scene: Scene, drone: Drone, flight: Flight, weights: Weights, start: Flight | None) -> Smoothed:
+def _smooth_one(
+    scene: Scene, drone: Drone, flight: Flight, weights: Weights, start: Flight | None, deadline: Deadline
+) -> Smoothed:
     began, before = perf_counter(), weights.time + weights.jerk  # the solver sees weights that add up to 1
+    if deadline.is_over:
+        return Smoothed(flight, before, before, 0, 0.0, NO_TIME)
     shares = shares_of(flight, weights)
     solver = _Solver(scene, drone, flight, shares, start)
     found, status = improved(scene, drone, flight, solver)

@@ -129,7 +129,7 @@ def test_a_deadline_that_has_passed_leaves_a_bound_that_holds(kind):
 def test_a_deadline_keeps_what_is_proven_by_then(monkeypatch):
     scene, travel = random_instance(np.random.default_rng(3), drones=4, tasks=30, capacity=9)
 
-    def first_round_only(deadline, rounds, doing):
+    def first_round_only(deadline, rounds, doing, first=1):
         yield 0, 1
         raise OutOfTime(doing)
 
@@ -143,10 +143,18 @@ def test_a_deadline_keeps_what_is_proven_by_then(monkeypatch):
 def test_where_slices_end_changes_nothing(kind, monkeypatch):
     scene, travel = random_instance(np.random.default_rng(4), drones=4, tasks=14, capacity=5, ends=True, demands=True)
     whole = lower_bound(scene, travel, bound=kind)
-    monkeypatch.setattr(Deadline, "slices", lambda deadline, rounds, doing: iter([(k, k + 1) for k in range(rounds)]))
+    monkeypatch.setattr(Deadline, "slices", lambda deadline, rounds, doing, first=1: iter([(k, k + 1) for k in range(rounds)]))
     sliced = lower_bound(scene, travel, bound=kind)
     assert (whole.kind, whole.value) == (sliced.kind, sliced.value)
     assert (whole.dual == sliced.dual).all()
+
+
+def test_a_proven_optimum_without_tasks_is_what_drones_fly_to_their_ends():
+    scene = line_scene([0.0, 3.0], [], [1, 1], ends=[10.0, None])
+    travel = straight_travel(scene)
+    result = solve_exact(scene, travel)
+    assert (result.status, result.proven) == ("optimal", 10.0)
+    assert result.bound.value == recompute_bound(scene, travel, result.bound) == 10.0
 
 
 def test_what_no_judge_would_go_through_is_not_claimed():

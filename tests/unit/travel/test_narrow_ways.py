@@ -24,5 +24,5 @@ def test_doors_that_are_only_just_wide_enough_are_passed(spare_m):
 def test_a_door_that_is_too_narrow_is_none():
     assert np.isinf(compute_travel(door(0.25 - 1e-5)).start_task[0, 0])
     made = plan(door(0.25 - 1e-5), planner="classical")
-    assert made.status == "infeasible"
-    assert "no way was found that keeps radius + clearance (0.25 m)" in made.reason
+    assert made.status == "uncertified"  # nobody proves that ten micrometres are missing
+    assert "no way that keeps radius + clearance (0.25 m) was found, which proves nothing" in made.reason
