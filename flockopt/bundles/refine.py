@@ -93,9 +93,8 @@ def _packed(request: AllocationRequest, bundles: Bundles, method: str) -> Bundle
         return bundles
     carried = [[task for task, drone in enumerate(packing.drones) if drone == i] for i in range(scene.num_drones)]
     routes = tuple(shortest_order(travel, i, tasks) for i, tasks in enumerate(carried))
-    limits = [np.inf if drone.max_distance is None else drone.max_distance for drone in scene.drones]
-    lengths = [travel.route_length(i, route) for i, route in enumerate(routes)]
-    if any(not length <= limit + LENGTH_TOLERANCE_M for length, limit in zip(lengths, limits, strict=True)):
+    lengths = np.array([travel.route_length(i, route) for i, route in enumerate(routes)])
+    if not (lengths <= _longest_routes(scene)).all():
         return bundles
     packed = explained(scene, travel, routes)
     if method not in WARM_STARTED:
@@ -106,9 +105,14 @@ def _packed(request: AllocationRequest, bundles: Bundles, method: str) -> Bundle
 
 
 def _by_search(request: AllocationRequest) -> Bundles:
+    from flockopt.bundles.bounds.one_each import carries_one_at_most, match_one_each
     from flockopt.bundles.search.anneal import search
     from flockopt.bundles.search.construct import build_problem
 
+    if request.preferences is None and carries_one_at_most(request.scene):
+        matched = match_one_each(request.scene, request.travel, _longest_routes(request.scene))
+        if matched is not None:
+            return explained(request.scene, request.travel, matched.routes)
     routes = search(
         build_problem(request.scene, request.travel),
         warm_start=request.warm_start,
@@ -161,6 +165,12 @@ METHODS: dict[str, Callable[[AllocationRequest], Bundles]] = {
     "cvrp": _by_routing,
     "exact": _exactly,
 }
+
+
+def _longest_routes(scene: Scene) -> FloatArray:
+    """(N,) m that each drone may travel, and what rounding adds."""
+    limits = [np.inf if drone.max_distance is None else drone.max_distance for drone in scene.drones]
+    return np.array(limits) + LENGTH_TOLERANCE_M
 
 
 def _nearness(travel: Travel) -> FloatArray:

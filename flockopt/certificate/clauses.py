@@ -249,7 +249,7 @@ def _figures(case: JudgedCase, proven: float | None) -> Iterator[tuple[str, floa
     """(name, claimed, recomputed) of every cost."""
     cost, travel = case.plan.cost, case.travel.total(case.routes)
     gap = None
-    if proven is not None and proven > 0.0:
+    if proven is not None and proven > COST_TOLERANCE:
         gap = (travel - proven) / proven
     elif proven is not None and travel <= COST_TOLERANCE:
         gap = 0.0  # nothing to travel, and that is proven

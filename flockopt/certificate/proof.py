@@ -6,13 +6,16 @@ is below the travel of every feasible allocation: a wrong vector proves less, ne
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
 from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for
+from flockopt.batches.deadline import heard
 from flockopt.bundles import Bound
 from flockopt.certificate.optimum import Offers, least_travel
 from flockopt.errors import PlanError
@@ -25,6 +28,16 @@ __all__ = ["KINDS", "recompute_bound"]
 #: Tasks in an ng-neighbourhood, itself included: part of what the kind ``ng-route`` means.
 NG_NEIGHBOURS = 8
 
+#: Entries of a vector are within so many metres of 0: sums of larger ones lose to rounding what they are to prove.
+MOST_PRICE_M = 1e8
+
+#: Memories of ng-routes gone through, by load and two tasks, and kept, by load and task, at most: some minutes, and half
+#: a gigabyte.
+MOST_MEMORIES, MOST_KEPT = 10**11, 25_000_000
+
+#: Memories beyond which an interrupt is to be heard meanwhile.
+LONG_MEMORIES = 10**9
+
 #: A route may be longer than ``max_distance`` by this share: as much as the clause that judges it lets pass, and more.
 LENGTH_TOLERANCE = 1e-5
 
@@ -33,19 +46,24 @@ def recompute_bound(scene: Scene, travel: Travel, proof: Bound) -> float:
     """The bound that a proof proves, metres; ``proof.value`` is not believed, and looked at by the kind ``optimum`` only.
 
     Raises:
-        PlanError: If the kind is unknown, the vector has the wrong length or entries that are not finite, or there is too
-            much to recheck.
+        PlanError: If the kind is unknown, the vector has the wrong length or entries that are no lengths, or there is too much
+            to recheck.
     """
     if proof.kind not in KINDS:
         raise PlanError("kind", f"is {proof.kind!r}", f"must be one of {', '.join(KINDS)}", "prove the bound anew")
-    evaluate, length = KINDS[proof.kind]
+    kind = KINDS[proof.kind]
     dual = np.asarray(proof.dual, dtype=np.float64)
-    wanted = length(scene)
+    wanted = kind.length(scene)
     if dual.shape != (wanted,):
         raise PlanError("dual", f"has shape {dual.shape}", f"must have shape ({wanted},)", "prove the bound anew")
-    if not np.isfinite(dual).all():
-        raise PlanError("dual", "holds a NaN or an infinity", "must be finite", "prove the bound anew")
-    return evaluate(scene, travel, np.maximum(dual, 0.0), proof.value) if scene.num_tasks else 0.0
+    if not (np.abs(dual) <= MOST_PRICE_M).all():
+        worst = dual[~(np.abs(dual) <= MOST_PRICE_M)][0]
+        raise PlanError("dual", f"holds {worst:g}", f"must be within {MOST_PRICE_M:g} m of 0", "prove the bound anew")
+    if not kind.is_signed:
+        dual = np.maximum(dual, 0.0)
+        if not scene.num_tasks:
+            return 0.0
+    return kind.evaluate(scene, travel, dual, proof.value)
 
 
 def _rooted_forest(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> float:
@@ -81,6 +99,36 @@ def _forest_weight(roots: FloatArray, between: FloatArray) -> float:
     return weight
 
 
+def _two_ended_forest(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> float:
+    """The forest and the ends' legs under prices of tasks' legs (M,) and drones' first legs (N,), less what is not paid."""
+    prices, first_prices = dual[: scene.num_tasks], dual[scene.num_tasks :]
+    able = scene.capacities[:, None] >= scene.demands[None, :]
+    legs, together = np.full(2 * (scene.num_tasks,), np.inf), scene.demands[:, None] + scene.demands[None, :]
+    for kind in np.unique(travel.drone_class):
+        strongest = scene.capacities[travel.drone_class == kind].max()
+        legs = np.minimum(legs, np.where(together <= strongest, travel.task_task[kind], np.inf))
+    roots = np.where(able, travel.start_task + first_prices[:, None], np.inf).min(axis=0)
+    weight = _forest_weight(roots + prices, legs + prices[:, None] + prices[None, :])
+    idle = np.where(np.isfinite(travel.start_end), travel.start_end, 0.0)
+    last = np.where(able, travel.task_end + prices[None, :], np.inf).min(axis=1, initial=np.inf)
+    gains = np.sort(last - first_prices - idle)
+    least = _least_drones(scene)
+    if least > scene.num_drones:
+        return np.inf
+    flown = float(idle.sum() + gains[:least].sum() + np.minimum(gains[least:], 0.0).sum())
+    return weight + flown - 2.0 * float(prices.sum())
+
+
+def _least_drones(scene: Scene) -> int:
+    """How many drones carry all tasks at least, the strongest first; more than there are where all of them cannot."""
+    left, count = float(scene.demands.sum()), 0
+    for capacity in sorted(scene.capacities, reverse=True):
+        if left <= 0.0:
+            return count
+        left, count = left - float(capacity), count + 1
+    return count if left <= 0.0 else count + 1
+
+
 def _ng_route(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> float:
     """Prices (M,) of the tasks, plus what each drone makes of them on its cheapest ng-route."""
     return float(dual.sum()) + sum(offer.least for offer in _offers(scene, travel, dual))
@@ -88,22 +136,44 @@ def _ng_route(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> f
 
 def _optimum(scene: Scene, travel: Travel, dual: FloatArray, claim: float) -> float:
     """The claim itself where no allocation of routes that the prices (M,) leave over is below it."""
-    return least_travel(list(_offers(scene, travel, dual)), dual, scene.demands.astype(np.int64), claim)
+    return least_travel(list(_offers(scene, travel, dual)), dual, _in_units(scene, scene.demands), claim)
 
 
 def _offers(scene: Scene, travel: Travel, dual: FloatArray) -> Iterator[Offers]:
     """What each drone can do under prices (M,)."""
-    demands = scene.demands.astype(np.int64)
-    loads = np.minimum(scene.capacities, scene.demands.sum()).astype(np.int64)
+    demands = _in_units(scene, scene.demands)
+    loads = _in_units(scene, np.minimum(scene.capacities, scene.demands.sum()))
+    is_long = _work(travel, demands, int(loads.max())) > LONG_MEMORIES
+    near: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
     known: dict[tuple[int, bytes], FloatArray] = {}  # drones with one matrix and one end share their routes
     for index, drone in enumerate(scene.drones):
         kind, ends = int(travel.drone_class[index]), np.ascontiguousarray(travel.task_end[index])
         between, key = np.ascontiguousarray(travel.task_task[kind]), (kind, ends.tobytes())
+        if kind not in near:
+            near[kind] = _neighbours(between)
         if key not in known:
-            known[key] = _cheapest_rests(between, ends, dual, demands, int(loads.max()), *_neighbours(between))
+            rests = partial(_cheapest_rests, between, ends, dual, demands, int(loads.max()), *near[kind])
+            known[key] = heard(rests) if is_long else rests()
         longest = np.inf if drone.max_distance is None else drone.max_distance * (1.0 + LENGTH_TOLERANCE)
         starts, idle = np.ascontiguousarray(travel.start_task[index]), float(travel.start_end[index])
         yield Offers(starts, between, ends, known[key], int(loads[index]), idle, longest)
+
+
+def _in_units(scene: Scene, loads: FloatArray) -> NDArray[np.int64]:
+    """Whole units, rounded down, of the largest one that divides all demands: as many loads as there are to tell apart."""
+    return loads.astype(np.int64) // np.gcd.reduce(scene.demands.astype(np.int64))
+
+
+def _work(travel: Travel, demands: NDArray[np.int64], most: int) -> int:
+    """How many memories there are to go through for routes of loads up to ``most``; a `PlanError` where they are too many."""
+    num_tasks, ends = len(demands), {(int(k), e.tobytes()) for k, e in zip(travel.drone_class, travel.task_end, strict=True)}
+    memories = 1 << min(NG_NEIGHBOURS - 1, num_tasks - 1)
+    kept = max(most + 1, (int(demands.max()) + 1) * memories) * num_tasks
+    work = len(ends) * most * num_tasks**2 * memories
+    if kept > MOST_KEPT or work > MOST_MEMORIES:
+        rule = "a judge goes through so many loads of so many tasks only up to a limit (docs/certificate.md)"
+        raise PlanError("kind", "has too many routes to recheck", rule, 'claim a bound of the kind "two-ended-forest"')
+    return work
 
 
 def _neighbours(between: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -118,7 +188,7 @@ def _neighbours(between: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int6
     return nearest, places
 
 
-@compiled_for(FLOATS_2, FLOATS_1, FLOATS_1, INTEGERS_1, types.int64, INTEGERS_2, INTEGERS_2)
+@compiled_for(FLOATS_2, FLOATS_1, FLOATS_1, INTEGERS_1, types.int64, INTEGERS_2, INTEGERS_2, nogil=True)
 def _cheapest_rests(
     between: FloatArray, ends: FloatArray, prices: FloatArray, demands: NDArray[np.int64], most: int,
     nearest: NDArray[np.int64], places: NDArray[np.int64],
@@ -127,45 +197,59 @@ def _cheapest_rests(
 
     A route may serve a task again once it has been to one that does not have it among its neighbours. Routes are
     grown from their end; a state is (load, first task, which of that task's neighbours it remembers as served),
-    and only as many loads are kept as the largest demand looks back.
+    and only as many loads are kept as the largest demand looks back. What remembers more than another that is no dearer is
+    dropped: the other can go wherever it can.
     """
-    num_tasks, num_memories, depth = len(ends), 1 << nearest.shape[1], demands.max() + 1
-    costs = np.full((depth, num_tasks, num_memories), np.inf)
-    best = np.full((most + 1, num_tasks), np.inf)
-    moved = np.zeros(num_memories, dtype=np.int64)
+    num_tasks, width, depth = len(ends), nearest.shape[1], demands.max() + 1
+    costs = np.full((depth, num_tasks, 1 << width), np.inf)
+    kept, counts = np.zeros((depth, num_tasks, 1 << width), dtype=np.int16), np.zeros((depth, num_tasks), dtype=np.int64)
+    best, least = np.full((most + 1, num_tasks), np.inf), np.empty(1 << width)
     for load in range(1, most + 1):
-        layer = costs[load % depth]
-        layer[:] = np.inf
         for task in range(num_tasks):
+            now, counts[load % depth, task] = costs[load % depth, task], 0
+            now[:] = np.inf
             if demands[task] == load:
-                layer[task, 0] = ends[task] - prices[task]
+                now[0] = ends[task] - prices[task]
             elif demands[task] < load:
-                before = costs[(load - demands[task]) % depth]
+                back = (load - demands[task]) % depth
                 for follower in range(num_tasks):
                     step = between[task, follower] - prices[task]
                     if follower == task or not step < np.inf:
                         continue
-                    forbidden = 0 if places[follower, task] < 0 else 1 << places[follower, task]
-                    moved[0] = 0 if places[task, follower] < 0 else 1 << places[task, follower]
-                    for memory in range(num_memories):
-                        if memory:  # what the memory without its lowest member becomes, and that member's place here
-                            lowest = 0
-                            while not (memory >> lowest) & 1:
-                                lowest += 1
-                            place = places[task, nearest[follower, lowest]]
-                            moved[memory] = moved[memory & (memory - 1)] | (0 if place < 0 else 1 << place)
-                        if not memory & forbidden:
-                            cost = before[follower, memory] + step
-                            if cost < layer[task, moved[memory]]:
-                                layer[task, moved[memory]] = cost
-        for task in range(num_tasks):
-            best[load, task] = min(best[load - 1, task], layer[task].min())
+                    for memory in kept[back, follower, : counts[back, follower]]:
+                        if places[follower, task] >= 0 and memory >> places[follower, task] & 1:
+                            continue
+                        after = 0 if places[task, follower] < 0 else 1 << places[task, follower]
+                        for bit in range(width):
+                            if memory >> bit & 1 and places[task, nearest[follower, bit]] >= 0:
+                                after |= 1 << places[task, nearest[follower, bit]]
+                        now[after] = min(now[after], costs[back, follower, memory] + step)
+            cheapest = now.min()
+            best[load, task] = min(best[load - 1, task], cheapest)
+            for memory in range(1 << width if cheapest < np.inf else 0):
+                least[memory] = np.inf  # of all that remember less
+                for bit in range(width):
+                    if memory >> bit & 1:
+                        less = memory ^ (1 << bit)
+                        least[memory] = min(least[memory], least[less], now[less])
+                if now[memory] < least[memory]:
+                    kept[load % depth, task, counts[load % depth, task]] = memory
+                    counts[load % depth, task] += 1
     return best
 
 
+class Kind(NamedTuple):
+    """How a kind of proof is rechecked."""
+
+    evaluate: Callable[[Scene, Travel, FloatArray, float], float]  # from scene, travel, vector and claimed value
+    length: Callable[[Scene], int]  # of the vector
+    is_signed: bool = False  # entries below 0 are read as they are, and drones without tasks count in scenes without them
+
+
 KINDS = {
-    "rooted-forest": (_rooted_forest, lambda scene: 0),
-    "held-karp-forest": (_held_karp_forest, lambda scene: scene.num_tasks + scene.num_drones),
-    "ng-route": (_ng_route, lambda scene: scene.num_tasks),
-    "optimum": (_optimum, lambda scene: scene.num_tasks),
+    "rooted-forest": Kind(_rooted_forest, lambda scene: 0),
+    "held-karp-forest": Kind(_held_karp_forest, lambda scene: scene.num_tasks + scene.num_drones),
+    "two-ended-forest": Kind(_two_ended_forest, lambda scene: scene.num_tasks + scene.num_drones, is_signed=True),
+    "ng-route": Kind(_ng_route, lambda scene: scene.num_tasks),
+    "optimum": Kind(_optimum, lambda scene: scene.num_tasks),
 }

@@ -8,12 +8,12 @@ from typing import Any
 __all__ = ["EVERYTHING", "JUDGING", "PLANNING", "entries_of"]
 
 #: Packages of what `flockopt.certify` calls.
-JUDGING = ("flockopt.geometry",)
+JUDGING = ("flockopt.certificate.proof", "flockopt.geometry")
 
 #: Packages and modules of what a plan by ``classical`` calls that nothing special is asked of.
 PLANNING = (
-    *JUDGING, "flockopt.travel", "flockopt.bundles.search", "flockopt.bundles.bounds.forest", "flockopt.bundles.bounds.polyak",
-    "flockopt.flights.apart", "flockopt.flights.laws.corners", "flockopt.flights.laws.fly_through",
+    *JUDGING, "flockopt.travel", "flockopt.bundles.search", "flockopt.bundles.bounds", "flockopt.flights.apart",
+    "flockopt.flights.laws.corners", "flockopt.flights.laws.fly_through",
 )  # fmt: skip
 
 #: All packages.

@@ -29,7 +29,7 @@ from flockopt.travel import Travel
 
 __all__ = ["Clock", "DecodedFlights", "Flights", "GivenFlights", "Reporter", "draft", "finish", "out_of_time"]
 
-#: Travel below this is none: its gap to a bound of zero is zero, while any other has none.
+#: Travel below this is none, and so is a bound: the gap of no travel to no bound is zero, while any other travel has none.
 NO_TRAVEL_M = 1e-6
 
 #: Share of what is left of a time limit that a try with a margin for tracking errors may take: there is one without.
@@ -257,7 +257,7 @@ def _cost(travel: Travel, bundles: Bundles, flights: dict[str, Flight], proof: B
     lower, gap = None, None
     if proof is not None:
         lower = proof.value
-        gap = (total - lower) / lower if lower > 0.0 else 0.0 if total <= NO_TRAVEL_M else None
+        gap = max(total - lower, 0.0) / lower if lower > NO_TRAVEL_M else 0.0 if total <= NO_TRAVEL_M else None
     return Cost(
         length=sum(flight.curve.length for flight in flights.values()),
         travel=total,

@@ -27,6 +27,9 @@ __all__ = ["plan"]
 #: Share of what is left of a time limit that the allocation may use; the rest is for flights and the judge.
 ALLOCATION_SHARE = 0.7
 
+#: Share of what is left of a time limit that a bound may take; flights are still to come.
+BOUND_SHARE = 0.3
+
 #: What is all but done may end so much later than a time limit, seconds: so small scenes are planned under any limit.
 GRACE_S = 0.05
 
@@ -138,4 +141,5 @@ def _proof(request: Request, proposal: Proposal, bound: str, clock: Clock) -> Bo
     with clock.stage("bound", 0.5):
         if proposal.bound is not None:
             return proposal.bound
-        return lower_bound(request.scene, request.travel, bound=bound, upper=request.travel.total(bundles.routes))
+        upper, deadline = request.travel.total(bundles.routes), clock.deadline.within(BOUND_SHARE)
+        return lower_bound(request.scene, request.travel, bound=bound, upper=upper, deadline=deadline)

@@ -11,7 +11,7 @@ import numpy as np
 from flockopt.bundles import Bound
 from flockopt.certificate import Certificate, Clause, Cost, Plan
 from flockopt.certificate.certificate import CLAUSES
-from flockopt.certificate.proof import recompute_bound
+from flockopt.certificate.proof import KINDS, recompute_bound
 from flockopt.flights import Curve, Flight, Visit
 from flockopt.scene import Bounds, Box, Cylinder, Drone, Scene, Sphere, Task
 from flockopt.travel import Travel
@@ -55,7 +55,7 @@ def _route_length(drone: Drone, tasks: list[Task]) -> float:
     return sum(math.dist(a, b) for a, b in itertools.pairwise(stops))
 
 
-def plan_of_lanes(scene: Scene, rng: np.random.Generator, kind: str = "held-karp-forest") -> tuple[Plan, Travel]:
+def plan_of_lanes(scene: Scene, rng: np.random.Generator, kind: str = "two-ended-forest") -> tuple[Plan, Travel]:
     """Every drone serves the tasks of its lane in order; the proof is a random vector, valid as any is."""
     travel = straight_travel(scene)
     routes, flights = {}, {}
@@ -65,8 +65,7 @@ def plan_of_lanes(scene: Scene, rng: np.random.Generator, kind: str = "held-karp
         if mine:
             routes[drone.id] = tuple(task.id for task in mine)
             flights[drone.id] = _fly(drone, mine, float(rng.uniform(0.0, 2.0)))
-    length = {"held-karp-forest": scene.num_tasks + scene.num_drones, "ng-route": scene.num_tasks, "rooted-forest": 0}[kind]
-    proof = Bound(kind, 0.0, rng.uniform(0.0, 0.5, length))
+    proof = Bound(kind, 0.0, rng.uniform(0.0, 0.5, KINDS[kind].length(scene)))
     proof = Bound(kind, recompute_bound(scene, travel, proof), proof.dual)
     numbers = {task.id: index for index, task in enumerate(scene.tasks)}
     total = travel.total([[numbers[task] for task in routes.get(drone.id, ())] for drone in scene.drones])

@@ -13,7 +13,7 @@ from flockopt.bundles.exact.exact import solve_exact
 from flockopt.certificate.proof import recompute_bound
 from flockopt.scene import Scene, Task
 from flockopt.travel.travel import straight_travel
-from tests.instances import random_scene
+from tests.instances import random_instance, random_scene, with_cut_legs
 from tests.known.brute_force import least_travel
 
 #: Metres, for sums of legs in another order.
@@ -28,6 +28,32 @@ def small_scene(seed):
     return random_scene(
         rng, drones=3, tasks=tasks, capacity=[tasks, 3 * tasks, 2], ends=bool(rng.integers(2)), demands=bool(rng.integers(2))
     )
+
+
+@settings(max_examples=200, deadline=None)
+@given(seed=seeds)
+def test_no_scene_has_a_bound_above_its_optimum(seed):
+    """Ends, ranges, classes, legs that are cut, drones and tasks of any weight or none at all."""
+    rng = np.random.default_rng(seed)
+    drones, tasks = int(rng.integers(1, 5)), int(rng.integers(0, 7))
+    capacity = [1] * drones if rng.integers(3) == 0 else rng.choice([0, 1, 2, 3, 4, 9], drones).tolist()
+    scene, travel = random_instance(
+        rng, drones=drones, tasks=tasks, capacity=capacity, ends=bool(rng.integers(3)), demands=bool(rng.integers(2)),
+        max_distance=30.0 if rng.integers(3) == 0 else None,
+    )  # fmt: skip
+    if drones > 1 and rng.integers(3) == 0:
+        both = np.concatenate([travel.task_task, 1.3 * travel.task_task])
+        travel = dataclasses.replace(travel, task_task=both, drone_class=np.arange(drones) % 2)
+    if rng.integers(4) == 0:
+        travel = with_cut_legs(rng, travel, 0.2)
+    optimum = least_travel(scene, travel)
+    for kind in ("fast", "tight", "exact"):
+        for upper in {None, optimum if optimum < np.inf else None}:
+            proof = lower_bound(scene, travel, bound=kind, upper=upper)
+            assert recompute_bound(scene, travel, proof) == pytest.approx(proof.value, rel=1e-9, abs=ROUNDING_M)
+            assert proof.value <= optimum + ROUNDING_M * max(1.0, proof.value)
+        if kind != "fast" and tasks and max(capacity) == 1 and scene.drones[0].max_distance is None:
+            assert proof.value == pytest.approx(optimum, rel=1e-9)  # an assignment problem
 
 
 @settings(max_examples=150, deadline=None)

@@ -1,10 +1,11 @@
 """Lower bounds on the fleet's travel, each with the vector that proves it.
 
-``fast`` is a spanning forest, ``tight`` the same under Held-Karp prices, ``exact`` the Lagrangian of all ng-routes, the
-bound that a proof of optimality starts from. A bound holds for every allocation that
+``fast`` is a spanning forest with legs to the ends, ``tight`` the same under Held-Karp prices and, where that takes next to
+no time, the Lagrangian of all ng-routes; ``exact`` is the latter whatever it takes, the bound that a proof of optimality starts
+from. A bound holds for every allocation that
 serves all tasks within the capacities, so it is claimed of feasible scenes; where a relaxation by itself shows that
 there is no such allocation (tasks cut off from every start), its value is infinite, the least cost over nothing.
-The value is computed once more from the final vector, so that whoever recomputes it finds the same.
+The value is what whoever recomputes it from the vector finds; at a deadline it is the best one proven by then.
 """
 
 from __future__ import annotations
@@ -13,32 +14,63 @@ import math
 
 import numpy as np
 
+from flockopt.batches.deadline import NEVER, Deadline, OutOfTime
 from flockopt.bundles import Bound
 from flockopt.bundles.bounds import forest
-from flockopt.bundles.bounds.pricing import ascend_prices, evaluate, group_drones, travel_ceiling
+from flockopt.bundles.bounds.ng_route import count_pairs
+from flockopt.bundles.bounds.one_each import carries_one_at_most, match_one_each
+from flockopt.bundles.bounds.polyak import begin
+from flockopt.bundles.bounds.pricing import (
+    CLOSED_GAP,
+    NEIGHBOURS,
+    ascend_prices,
+    drones_that_share,
+    group_drones,
+    route_loads,
+    travel_ceiling,
+)
 from flockopt.bundles.bundles import BOUND_EFFORTS
 from flockopt.errors import SettingsError
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["held_karp_bound", "lower_bound", "ng_route_bound", "rooted_forest_bound"]
+__all__ = ["first_prices", "forest_bound", "lower_bound", "ng_route_bound", "tight_bound"]
 
-#: Spanning trees grown for the Held-Karp bound: within 0.03 % of its limit from 10 x 20 to 100 x 1000.
-HELD_KARP_ROUNDS = 60
+#: Spanning trees grown for the Held-Karp bound: within 0.1 % of its limit from 10 x 20 to 100 x 1000. Small ones take more
+#: rounds, and are cheap: as many as have so many legs.
+FOREST_ROUNDS, MOST_FOREST_ROUNDS, FOREST_LEGS = 60, 300, 200_000
 
 #: Dynamic programs solved for the ng-route bound: within 0.05 % of its limit from 10 x 20 to 20 x 100.
 NG_ROUNDS = 80
 
+#: What the ng-routes of the bound ``tight`` may cost in all, at first and for each task, in units of about 10 ns; what a
+#: group of drones costs, whatever its routes. Less than a few rounds are not worth their time.
+TIGHT_COST, TIGHT_COST_A_TASK, GROUP_COST, LEAST_NG_ROUNDS = 600_000, 5_000, 1_500, 4
 
-def lower_bound(scene: Scene, travel: Travel, *, bound: str = "tight", upper: float | None = None) -> Bound:
+#: What a step between two tasks costs at least; more, with the cube of how many tasks on a route are remembered.
+STEP_COST, MEMORY_COST = 1.5, 0.1
+
+#: Gaps with which the bound ``tight`` is content in its first round and in its last one; with none at first where there are
+#: so few tasks that it costs next to nothing to go on.
+GOOD_GAP, FAIR_GAP, FEW_TASKS = 0.01, 0.06, 12
+
+#: Memories of ng-routes, by load and two tasks, and by load and task, that a judge goes through at most
+#: (docs/certificate.md).
+MOST_MEMORIES, MOST_KEPT = 10**11, 25_000_000
+
+
+def lower_bound(
+    scene: Scene, travel: Travel, *, bound: str = "tight", upper: float | None = None, deadline: Deadline = NEVER
+) -> Bound:
     """A proven lower bound on the travel of every feasible allocation.
 
     Args:
         scene: Whose capacities and demands count.
         travel: Distances, metres.
-        bound: ``"fast"`` (rooted forest), ``"tight"`` (Held-Karp forest) or ``"exact"`` (ng-routes).
+        bound: ``"fast"`` (forest), ``"tight"`` (Held-Karp forest, or ng-routes where they are few) or ``"exact"`` (ng-routes).
         upper: Travel of a known allocation, metres; steers the ascent, proves nothing.
+        deadline: When to come back with the best bound proven by then.
 
     Raises:
         SettingsError: If ``bound`` is unknown or ``upper`` is negative or not a number.
@@ -47,48 +79,117 @@ def lower_bound(scene: Scene, travel: Travel, *, bound: str = "tight", upper: fl
         raise SettingsError("bound", f"is {bound!r}", f"must be one of {', '.join(BOUND_EFFORTS)}", "choose one")
     if upper is not None and not upper >= 0.0:
         raise SettingsError("upper", f"is {upper!r}", "must be metres >= 0 or None", "give the travel of a known allocation")
-    return _BOUNDS[bound](scene, travel, math.inf if upper is None else upper)
+    if bound == "fast":
+        return forest_bound(scene, travel, rounds=0)
+    known = math.inf if upper is None else upper
+    return (tight_bound if bound == "tight" else ng_route_bound)(scene, travel, known, deadline=deadline)
 
 
-def rooted_forest_bound(scene: Scene, travel: Travel, upper: float = math.inf) -> Bound:
-    """The cheapest spanning tree of the tasks and one super-root; needs no vector."""
-    starts, between = _forest_costs(scene, travel)
-    value = forest.forest_value(starts, between, np.zeros(scene.num_tasks), np.zeros(scene.num_drones))
-    return Bound("rooted-forest", value, np.empty(0))
+def forest_bound(
+    scene: Scene, travel: Travel, upper: float = math.inf, *, rounds: int | None = None, deadline: Deadline = NEVER
+) -> Bound:
+    """The forest under prices on a task's legs (M,) and on a drone's first leg (N,), after so many rounds of ascent."""
+    return _forest(scene, travel, upper, rounds, deadline)[0]
 
 
-def held_karp_bound(scene: Scene, travel: Travel, upper: float = math.inf, rounds: int = HELD_KARP_ROUNDS) -> Bound:
-    """The rooted forest under prices on a task's third neighbour (M,) and on a start's second route (N,)."""
-    starts, between = _forest_costs(scene, travel)
-    dual = forest.ascend(starts, between, rounds, min(upper, travel_ceiling(travel)))
-    value = forest.forest_value(starts, between, *np.split(dual, [scene.num_tasks]))
-    return Bound("held-karp-forest", value, dual)
+def tight_bound(scene: Scene, travel: Travel, upper: float = math.inf, *, deadline: Deadline = NEVER) -> Bound:
+    """The forest, or the ng-routes where they prove more and cost little."""
+    good = CLOSED_GAP if scene.num_tasks <= FEW_TASKS else GOOD_GAP
+    rounds = _affordable_rounds(scene, travel)
+    return _priced(scene, travel, upper, rounds, np.linspace(good, FAIR_GAP, rounds), deadline)
 
 
-def ng_route_bound(scene: Scene, travel: Travel, upper: float = math.inf, rounds: int = NG_ROUNDS) -> Bound:
-    """The Lagrangian of all ng-routes within the capacities; its vector is a price for each task (M,)."""
-    if not scene.num_tasks:
-        return Bound("ng-route", 0.0, np.empty(0))
-    upper = min(upper, travel_ceiling(travel))
-    groups, prices = group_drones(scene, travel), first_prices(scene, travel, upper)
-    prices = ascend_prices(groups, prices, rounds=rounds, upper=upper)
-    return Bound("ng-route", evaluate(groups, prices)[0], prices)
+def ng_route_bound(
+    scene: Scene, travel: Travel, upper: float = math.inf, *, rounds: int = NG_ROUNDS, deadline: Deadline = NEVER
+) -> Bound:
+    """The Lagrangian of all ng-routes within the capacities; its vector is a price for each task (M,).
+
+    The forest where that proves more, or there is no time for the first round, or a judge would not go through the routes.
+    """
+    return _priced(scene, travel, upper, rounds, np.full(rounds, CLOSED_GAP), deadline)
 
 
-def first_prices(scene: Scene, travel: Travel, upper: float = math.inf) -> FloatArray:
-    """Prices of tasks (M,) that prove about the Held-Karp bound when routes are priced with them."""
-    starts, between = _forest_costs(scene, travel)
-    dual = forest.ascend(starts, between, HELD_KARP_ROUNDS, upper)
-    shares = forest.task_shares(starts, between, *np.split(dual, [scene.num_tasks]))
-    return np.where(np.isfinite(shares), np.maximum(0.0, shares), 0.0)
+def _priced(scene: Scene, travel: Travel, upper: float, rounds: int, good: FloatArray, deadline: Deadline) -> Bound:
+    """The forest, or the ng-routes where they prove more, after so many rounds or with a gap that is ``good`` (rounds,)."""
+    best, prices = _forest(scene, travel, upper, None, deadline)
+    if not rounds or not scene.num_tasks or upper <= best.value * (1.0 + CLOSED_GAP) or not _is_judged(scene, travel):
+        return best
+    matched = match_one_each(scene, travel) if carries_one_at_most(scene) else None
+    if matched is not None:
+        prices, rounds, good = matched.prices, 1, good[:1]
+    ceiling = min(upper, travel_ceiling(travel))
+    value, prices = ascend_prices(
+        group_drones(scene, travel), prices, rounds=rounds, upper=ceiling, good=good, deadline=deadline
+    )
+    return Bound("ng-route", value, prices) if value > best.value else best
 
 
-def _forest_costs(scene: Scene, travel: Travel) -> tuple[FloatArray, FloatArray]:
-    """(N, M) from starts, infinite where a task outweighs the drone, and (M, M) between tasks, least over classes."""
+def first_prices(scene: Scene, travel: Travel, upper: float = math.inf, deadline: Deadline = NEVER) -> FloatArray:
+    """Prices of tasks (M,) that prove about the forest's bound when routes are priced with them."""
+    return _forest(scene, travel, upper, None, deadline)[1]
+
+
+def _forest(scene: Scene, travel: Travel, upper: float, rounds: int | None, deadline: Deadline) -> tuple[Bound, FloatArray]:
+    """The forest's bound, and prices of tasks (M,) for routes."""
+    num_tasks, num = scene.num_tasks, scene.num_tasks + scene.num_drones
+    legs = max(num_tasks * (num_tasks + 2 * scene.num_drones), 1)
+    if rounds is None:
+        rounds = min(max(FOREST_ROUNDS, FOREST_LEGS // legs), MOST_FOREST_ROUNDS)
+    relaxed = _relaxed(scene, travel)
+    ascent, prices, direction, best = begin(), np.zeros(num), np.zeros(num), np.zeros(num)
+    try:
+        for first, last in deadline.slices(rounds, "proving a bound", first=1 + FOREST_LEGS // legs):
+            goes_on = forest.ascend(*relaxed, last - first, min(upper, travel_ceiling(travel)), ascent, prices, direction, best)
+            if not goes_on:
+                break
+    except OutOfTime:
+        pass  # what is proven by now counts
+    shares = np.empty(num_tasks)
+    value = forest.relax(*relaxed, best, np.empty(num), shares)
+    shares = np.where(np.isfinite(shares), np.maximum(0.0, shares), 0.0)
+    # What the drones that must fly add to the tree is shared out by demand.
+    rest = max(value - float(shares.sum() + relaxed[3].sum()), 0.0) if np.isfinite(value) and num_tasks else 0.0
+    return Bound("two-ended-forest", value, best), shares + rest * scene.demands / max(scene.demands.sum(), 1)
+
+
+def _relaxed(scene: Scene, travel: Travel) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int]:
+    """Legs from starts (N, M), between tasks (M, M), to ends (N, M) and of idle drones (N,), and how many must fly.
+
+    A leg is infinite where its tasks outweigh all that could fly it; between tasks it is the least over classes of drones.
+    """
     fits = scene.demands[None, :] <= scene.capacities[:, None]
-    starts = np.where(fits, travel.start_task, np.inf)
-    between = travel.task_task[0] if len(travel.task_task) == 1 else travel.task_task.min(axis=0)
-    return starts, np.ascontiguousarray(between)
+    starts, ends = (np.where(fits, legs, np.inf) for legs in (travel.start_task, travel.task_end))
+    pairs = scene.demands[:, None] + scene.demands[None, :]
+    between = np.full(pairs.shape, np.inf)
+    for kind, legs in enumerate(travel.task_task):
+        most = scene.capacities[travel.drone_class == kind].max(initial=0)
+        between = np.where(pairs <= most, np.minimum(between, legs), between)
+    idle = np.where(np.isfinite(travel.start_end), travel.start_end, 0.0)
+    carried = np.cumsum(np.sort(scene.capacities)[::-1])
+    needed = int((carried < scene.demands.sum()).sum()) + 1 if scene.num_tasks else 0
+    return starts, between, ends, idle, needed
 
 
-_BOUNDS = dict(zip(BOUND_EFFORTS, (rooted_forest_bound, held_karp_bound, ng_route_bound), strict=True))
+def _affordable_rounds(scene: Scene, travel: Travel) -> int:
+    """How many times ng-routes may be priced in next to no time."""
+    if not scene.num_tasks:
+        return 0
+    demands, capacities = route_loads(scene)
+    lightest = np.cumsum(np.sort(demands))
+    cost = 0.0
+    for drones in drones_that_share(travel):
+        most = int(capacities[drones].max())
+        remembered = float((lightest <= most).sum()) * min(1.0, NEIGHBOURS / scene.num_tasks)
+        cost += GROUP_COST + (STEP_COST + MEMORY_COST * remembered**3) * count_pairs(demands, most)
+    if carries_one_at_most(scene):
+        cost /= NG_ROUNDS  # one round is enough
+    rounds = int((TIGHT_COST + TIGHT_COST_A_TASK * scene.num_tasks) / cost)
+    return min(rounds, NG_ROUNDS) if rounds >= LEAST_NG_ROUNDS else 0
+
+
+def _is_judged(scene: Scene, travel: Travel) -> bool:
+    """Whether a judge goes through the fleet's ng-routes."""
+    demands, capacities = route_loads(scene)
+    memories, most = 1 << min(NEIGHBOURS - 1, scene.num_tasks - 1), int(capacities.max())
+    kept = max(most + 1, (int(demands.max()) + 1) * memories) * scene.num_tasks
+    return kept <= MOST_KEPT and len(drones_that_share(travel)) * most * scene.num_tasks**2 * memories <= MOST_MEMORIES

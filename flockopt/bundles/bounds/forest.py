@@ -1,9 +1,10 @@
-"""Compiled forest bounds: a spanning tree of the tasks grown from one super-root, and its Held-Karp ascent.
+"""Compiled forest bounds: a spanning tree of the tasks grown from one super-root, legs to ends, and their Held-Karp ascent.
 
 Drop from an allocation everything but its connectedness: every task hangs by some chain of tasks from some
 start. Such a forest is a spanning tree of the tasks and one super-root that stands for all starts, so the
-cheapest spanning tree bounds the travel. A route also gives every task at most two neighbours and every start
-at most one: prices on breaking these rules (Held and Karp 1970) lift the bound.
+cheapest spanning tree bounds what routes travel before their ends. A route also ends once, at some task; every task has two
+legs; a drone flies as many first legs as last ones, one or none; and so many drones fly as can carry all tasks. Prices on
+breaking these rules (Held and Karp 1970) lift the bound.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
-from flockopt.bundles.bounds.polyak import LEAST_REACH, begin, seen, target
+from flockopt.bundles.bounds.polyak import BEST, LEAST_REACH, aim
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["ascend", "forest_value", "task_shares"]
+__all__ = ["ascend", "relax"]
 
 #: Share of the new direction in a step; the rest is the last direction, which damps the zigzag.
 DIRECTION_SHARE = 0.7
@@ -91,93 +92,129 @@ def _grow(
     return total
 
 
-@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, FLOATS_1)
-def forest_value(starts: FloatArray, between: FloatArray, prices: FloatArray, start_prices: FloatArray) -> float:
-    """The bound that task prices (M,) and start prices (N,), all >= 0, prove; metres."""
-    num = starts.shape[1]
-    roots, owners = np.empty(num), np.empty(num, np.int64)
-    _roots(starts, start_prices, roots, owners)
-    weight = _grow(between, roots, prices, np.empty(num, np.int64), np.empty(num, np.bool_), roots.copy())
-    return float(weight - 2.0 * prices.sum() - start_prices.sum())
-
-
-@compiled_for(FLOATS_2, FLOATS_2, FLOATS_1, FLOATS_1)
-def task_shares(starts: FloatArray, between: FloatArray, prices: FloatArray, start_prices: FloatArray) -> FloatArray:
-    """The bound shared out over the tasks (M,), metres: what each pays to hang on to the tree.
-
-    No group of tasks pays more than a tree of its own would cost (Bird 1976), so no route earns more from these
-    shares than it costs, and they are prices of routes that prove the forest's bound.
-    """
-    num = starts.shape[1]
-    roots, owners, shares = np.empty(num), np.empty(num, np.int64), np.empty(num)
-    _roots(starts, start_prices, roots, owners)
-    _grow(between, roots, prices, np.empty(num, np.int64), np.empty(num, np.bool_), shares)
-    return shares - 2.0 * prices
-
-
 @njit(cache=True)
-def _gradient(degrees: NDArray[np.int64], rooted: NDArray[np.bool_], owners: NDArray[np.int64], gradient: FloatArray) -> None:
-    """By how much the tree breaks each rule, into ``gradient`` (M + N,): neighbours over two, routes over one."""
-    num = degrees.shape[0]
-    gradient[num:] = -1.0
-    for j in range(num):
-        gradient[j] = degrees[j] - 2.0
-        if rooted[j]:
-            gradient[num + owners[j]] += 1.0
+def _last_legs(
+    ends: FloatArray, idle: FloatArray, needed: int, prices: FloatArray, start_prices: FloatArray, gradient: FloatArray
+) -> float:
+    """What the fleet flies besides the tree: idle drones, and the priced last legs of drones that gain by them or are needed.
 
-
-@njit(cache=True)
-def _turn(direction: FloatArray, gradient: FloatArray, prices: FloatArray, share: float) -> float:
-    """Mix the gradient into the direction, both without what would leave the positive prices; the larger squared norm.
-
-    It is 0 where no price can rise: at the maximum.
+    The rules that this breaks are added to ``gradient`` (M + N,).
     """
-    steepest, norm = 0.0, 0.0
-    for k in range(direction.shape[0]):
-        if prices[k] > 0.0 or gradient[k] > 0.0:
-            steepest += gradient[k] ** 2
-        direction[k] = share * gradient[k] + (1.0 - share) * direction[k]
-        if prices[k] <= 0.0 and direction[k] < 0.0:
-            direction[k] = 0.0
-        norm += direction[k] ** 2
-    return max(steepest, norm) if steepest > 0.0 else 0.0
+    num_drones, num = ends.shape
+    total = 0.0
+    values, lasts = np.empty(num_drones), np.empty(num_drones, np.int64)
+    for i in range(num_drones):
+        best, last, farthest = np.inf, -1, 0.0
+        for j in range(num):
+            if ends[i, j] < np.inf:
+                farthest = max(farthest, ends[i, j])
+            if ends[i, j] + prices[j] < best:
+                best, last = ends[i, j] + prices[j], j
+        # A drone without an end may end anywhere for nothing: where, tells the ascent nothing.
+        last = last if farthest > 0.0 else -1
+        values[i], lasts[i] = best - start_prices[i] - idle[i], last
+        total += idle[i]
+    for rank, i in enumerate(np.argsort(values)):
+        if rank < needed or values[i] < 0.0:
+            total += values[i]
+            gradient[num + i] -= 1.0
+            if lasts[i] >= 0:
+                gradient[lasts[i]] += 1.0
+    return total if needed <= num_drones else np.inf
 
 
-@compiled_for(FLOATS_2, FLOATS_2, types.int64, types.float64)
-def ascend(starts: FloatArray, between: FloatArray, rounds: int, upper: float) -> FloatArray:
-    """Prices near the Held-Karp maximum by a projected subgradient with Polyak steps to a moving target.
+@compiled_for(
+    FLOATS_2, FLOATS_2, FLOATS_2, FLOATS_1, types.int64, FLOATS_1, writable(FLOATS_1), writable(FLOATS_1)
+)  # fmt: skip
+def relax(
+    starts: FloatArray, between: FloatArray, ends: FloatArray, idle: FloatArray, needed: int, prices: FloatArray,
+    gradient: FloatArray, shares: FloatArray,
+) -> float:  # fmt: skip
+    """The bound that prices prove, metres, and by reference by how much each rule is broken, and the tasks' shares.
 
     Args:
         starts: (N, M) m from each start to each task; infinite where the drone cannot serve the task.
-        between: (M, M) m between tasks.
+        between: (M, M) m between tasks; infinite where no drone can serve both.
+        ends: (N, M) m from each task to each end; infinite where the drone cannot serve the task.
+        idle: (N,) m flown without tasks.
+        needed: Drones that fly with tasks at least.
+        prices: (M + N,) m, of a task's legs, then of a drone's first leg, earned again by its last one.
+        gradient: (M + N,) filled with a task's legs over two, then with a drone's first legs over its last ones.
+        shares: (M,) filled with what each task pays of the tree. No group of tasks pays more than a tree of its own would
+            cost (Bird 1976), so no route earns more from these shares than it costs, and they are prices of routes that prove
+            the bound for any number of drones.
+    """
+    num = starts.shape[1]
+    roots, owners = np.empty(num), np.empty(num, np.int64)
+    degrees, rooted = np.empty(num, np.int64), np.empty(num, np.bool_)
+    _roots(starts, prices[num:], roots, owners)
+    weight = _grow(between, roots, prices[:num], degrees, rooted, shares)
+    gradient[num:] = 0.0
+    for j in range(num):
+        gradient[j] = degrees[j] - 2.0
+        shares[j] -= 2.0 * prices[j]
+        if rooted[j] and owners[j] >= 0:
+            gradient[num + owners[j]] += 1.0
+    return weight - 2.0 * prices[:num].sum() + _last_legs(ends, idle, needed, prices[:num], prices[num:], gradient)
+
+
+@njit(cache=True)
+def _some_have_no_end(ends: FloatArray) -> bool:
+    lacking = 0
+    for i in range(ends.shape[0]):
+        lacking += not ((ends[i] > 0.0) & (ends[i] < np.inf)).any()
+    return lacking > 0
+
+
+@compiled_for(
+    FLOATS_2, FLOATS_2, FLOATS_2, FLOATS_1, types.int64, types.int64, types.float64,
+    *[writable(FLOATS_1)] * 4,
+)  # fmt: skip
+def ascend(
+    starts: FloatArray, between: FloatArray, ends: FloatArray, idle: FloatArray, needed: int, rounds: int, upper: float,
+    ascent: FloatArray, prices: FloatArray, direction: FloatArray, best_prices: FloatArray,
+) -> bool:  # fmt: skip
+    """Some rounds towards the Held-Karp maximum, by a subgradient with Polyak steps to a moving target.
+
+    Args:
+        starts: As for `relax`, and so are the next ones.
+        between: See there.
+        ends: See there.
+        idle: See there.
+        needed: See there.
         rounds: Spanning trees to grow.
         upper: Travel of a known allocation, or infinity; no target lies above it.
+        ascent: (3,) how far the rounds before came (`flockopt.bundles.bounds.polyak.begin`); brought up to date.
+        prices: (M + N,) where they came to; moved on.
+        direction: (M + N,) of their last step, 0 at first; turned.
+        best_prices: (M + N,) the best found; bettered.
 
     Returns:
-        (M + N,) the best task prices, then start prices, found.
+        Whether there is farther to go.
     """
-    num_drones, num = starts.shape
-    prices = np.zeros(num + num_drones)
-    best_prices = prices.copy()
-    gradient, direction = np.zeros(num + num_drones), np.zeros(num + num_drones)
-    roots, owners = np.empty(num), np.empty(num, np.int64)
-    degrees, rooted, shares = np.empty(num, np.int64), np.empty(num, np.bool_), np.empty(num)
-    ascent = begin()
-    for step in range(rounds):
-        _roots(starts, prices[num:], roots, owners)
-        weight = _grow(between, roots, prices[:num], degrees, rooted, shares)
-        value = weight - 2.0 * prices[:num].sum() - prices[num:].sum()
+    gradient, shares = np.empty(prices.shape[0]), np.empty(starts.shape[1])
+    # A task where a drone without an end may rest has two legs at most, and no price below 0.
+    held = starts.shape[1] if _some_have_no_end(ends) else 0
+    for _ in range(rounds):
+        value = relax(starts, between, ends, idle, needed, prices, gradient, shares)
         if not np.isfinite(value):
-            break
-        if value > ascent.best:
-            for k in range(num + num_drones):
-                best_prices[k] = prices[k]
-        ascent = seen(ascent, value, COOLING, LEAST_REACH)
-        _gradient(degrees, rooted, owners, gradient)
-        norm = _turn(direction, gradient, prices, DIRECTION_SHARE if step else 1.0)
-        if norm == 0.0:
-            break
-        length = (target(ascent, upper) - value) / norm
-        for k in range(num + num_drones):
-            prices[k] = max(0.0, prices[k] + length * direction[k])
-    return best_prices
+            return False
+        share = DIRECTION_SHARE if ascent[BEST] > -np.inf else 1.0
+        if value > ascent[BEST]:
+            best_prices[:] = prices
+        goal = aim(ascent, value, COOLING, LEAST_REACH, upper)
+        norm, steepest = 0.0, 0.0
+        for k in range(prices.shape[0]):
+            direction[k] = share * gradient[k] + (1.0 - share) * direction[k]
+            if k < held and prices[k] <= 0.0:
+                direction[k], gradient[k] = max(direction[k], 0.0), max(gradient[k], 0.0)
+            norm += direction[k] ** 2
+            steepest += gradient[k] ** 2
+        if steepest == 0.0:
+            return False
+        length = (goal - value) / max(norm, steepest)
+        for k in range(prices.shape[0]):
+            prices[k] += length * direction[k]
+            if k < held:
+                prices[k] = max(prices[k], 0.0)
+    return True

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["Labels", "Neighbourhood", "cheapest_labels", "count_visits", "grow_labels", "neighbourhood"]
+__all__ = ["Labels", "Neighbourhood", "cheapest_labels", "count_pairs", "count_visits", "grow_labels", "neighbourhood"]
 
 # What the arrays of a `Neighbourhood` are to compiled code.
 ORDERS = types.Array(types.int32, 2, "C", readonly=True)
@@ -68,17 +68,17 @@ def _carry(memory: int, places: NDArray[np.int8]) -> int:
     return moved
 
 
-@compiled_for(FLOATS_2, ORDERS, FLOATS_2, FLOATS_1, INTEGERS_1, *PLACES)
+@compiled_for(
+    FLOATS_2, ORDERS, FLOATS_2, FLOATS_1, INTEGERS_1, *PLACES, types.int64, types.int64, writable(INTEGERS_1),
+    *[writable(FLOATS_1)] * 2, *[writable(INTEGERS_1)] * 3,
+)  # fmt: skip
 def grow_labels(
-    between: FloatArray,
-    order: NDArray[np.int32],
-    initial: FloatArray,
-    prices: FloatArray,
-    demands: NDArray[np.int64],
-    position: NDArray[np.int8],
-    carried: NDArray[np.int8],
-) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """All undominated labels, as the fields of `Labels`, by load and then by front task.
+    between: FloatArray, order: NDArray[np.int32], initial: FloatArray, prices: FloatArray, demands: NDArray[np.int64],
+    position: NDArray[np.int8], carried: NDArray[np.int8], begin: int, end: int, first: NDArray[np.int64],
+    cheapest: FloatArray, costs: FloatArray, fronts: NDArray[np.int64], memories: NDArray[np.int64],
+    parents: NDArray[np.int64],
+) -> int:  # fmt: skip
+    """Fill in all undominated labels of some loads, by load and then by front task, after those of lighter loads.
 
     Args:
         between: (M, M) m between tasks.
@@ -88,19 +88,28 @@ def grow_labels(
         demands: (M,) load of each task.
         position: As in `Neighbourhood`.
         carried: As in `Neighbourhood`.
+        begin: The first of the loads.
+        end: The load after the last one.
+        first: As in `Labels`, filled in as far as ``begin``; filled in farther.
+        cheapest: (Q + 1,) m of the cheapest label by load; filled in likewise.
+        costs: As in `Labels`, with room to spare; filled in, and so are the next ones.
+        fronts: See there.
+        memories: See there.
+        parents: See there.
+
+    Returns:
+        The load after the last one filled in: below ``end`` where there is no room for the next one.
     """
     # Over 60 lines: one pass fills a bucket after another, and all that it reads and fills is of this function; the loop
-    # over labels, as a function of its own, would take fourteen arrays.
-    most, num = initial.shape[0] - 1, initial.shape[1]
-    first = np.zeros((most + 1) * num + 1, np.int64)
-    cheapest = np.full(most + 1, np.inf)  # by load
-    room, count = 64 * num, 0
-    costs, fronts = np.empty(room), np.empty(room, np.int64)
-    memories, parents = np.empty(room, np.int64), np.empty(room, np.int64)
+    # over labels, as a function of its own, would take fourteen arrays. It fills in what it is given and returns a number, for
+    # numba runs Python to return arrays, and an interrupt that is answered there is a SystemError.
+    num = initial.shape[1]
+    room, count = costs.shape[0], first[begin * num]
     # The bucket at hand, by memory: what the cheapest label of each memory costs and comes from, and which there are.
     table, origin = np.full(1 << carried.shape[2], np.inf), np.empty(1 << carried.shape[2], np.int64)
     touched = np.empty(1 << carried.shape[2], np.int64)
-    for load in range(most + 1):
+    for load in range(begin, end):
+        cheapest[load] = np.inf
         for front in range(num):
             num_touched = 0
             if initial[load, front] < np.inf:
@@ -130,9 +139,7 @@ def grow_labels(
                             num_touched += 1
                         table[memory], origin[memory] = cost, label
             if count + num_touched > room:
-                room = 2 * room + num_touched
-                costs, fronts = _grown(costs, room), _grown(fronts, room)
-                memories, parents = _grown(memories, room), _grown(parents, room)
+                return load
             kept = _keep(table, touched[:num_touched], memories[count:], origin, parents[count:], costs[count:])
             for label in range(count, count + kept):
                 costs[label] -= prices[front]
@@ -141,7 +148,7 @@ def grow_labels(
                 cheapest[load] = min(cheapest[load], costs[count])
             count += kept
             first[load * num + front + 1] = count
-    return first, costs[:count], fronts[:count], memories[:count], parents[:count]
+    return end
 
 
 @njit(cache=True)
@@ -176,22 +183,23 @@ def _keep(
     return kept
 
 
-@compiled_for(INTEGERS_1, FLOATS_1, FLOATS_2, INTEGERS_1, FLOATS_1)
+@compiled_for(INTEGERS_1, FLOATS_1, FLOATS_2, INTEGERS_1, writable(FLOATS_1), writable(INTEGERS_1))
 def cheapest_labels(
-    first: NDArray[np.int64], costs: FloatArray, starts: FloatArray, capacities: NDArray[np.int64], idle: FloatArray
-) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Each drone's cheapest priced route: its cost (N,) and its label (N,), or what idling costs and -1.
+    first: NDArray[np.int64], costs: FloatArray, starts: FloatArray, capacities: NDArray[np.int64], values: FloatArray,
+    labels: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Better what each drone makes of its tasks by its cheapest priced route.
 
     Args:
         first: As in `Labels`.
         costs: As in `Labels`.
         starts: (N, M) m from each start to each task.
         capacities: (N,) loads that have labels.
-        idle: (N,) m flown by a drone that serves no task.
+        values: (N,) m, what each drone costs by now; bettered.
+        labels: (N,) the label that is bettered by.
     """
     num_drones, num = starts.shape
     # Loads rise, so that the cheapest label of all lighter loads is known when a drone's capacity is reached.
-    values, labels = idle.copy(), np.full(num_drones, -1)
     best, cheapest = np.full(num, -1), np.full(num, np.inf)  # by first task, of any load so far
     for load in range((first.shape[0] - 1) // max(num, 1)):
         for task in range(num):
@@ -203,7 +211,6 @@ def cheapest_labels(
                 for task in range(num):
                     if starts[drone, task] + cheapest[task] < values[drone]:
                         values[drone], labels[drone] = starts[drone, task] + cheapest[task], best[task]
-    return values, labels
 
 
 @compiled_for(INTEGERS_1, INTEGERS_1, INTEGERS_1, writable(FLOATS_1))
@@ -216,9 +223,14 @@ def count_visits(labels: NDArray[np.int64], fronts: NDArray[np.int64], parents: 
             label = parents[label]
 
 
-@njit(cache=True)
-def _grown(array: NDArray, room: int) -> NDArray:
-    """A copy with room for more."""
-    bigger = np.empty(room, array.dtype)
-    bigger[: array.shape[0]] = array
-    return bigger
+@compiled_for(INTEGERS_1, types.int64)
+def count_pairs(demands: NDArray[np.int64], most: int) -> int:
+    """How many steps there are from a task to the one before it, over all loads up to ``most``, where labels can be."""
+    labelled, pairs = np.zeros(most + 1, np.int64), 0  # tasks with labels, by load
+    for load in range(1, most + 1):
+        for task in range(demands.shape[0]):
+            before = labelled[load - demands[task]] if demands[task] < load else 0
+            pairs += before
+            if before or demands[task] == load:
+                labelled[load] += 1
+    return pairs

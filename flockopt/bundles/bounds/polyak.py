@@ -7,14 +7,13 @@ and the share shrinks.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import types
 
-from flockopt.batches.compiled import compiled_for, record_of
+from flockopt.batches.compiled import FLOATS_1, compiled_for, writable
+from flockopt.records.arrays import FloatArray
 
-__all__ = ["LEAST_REACH", "Ascent", "begin", "seen", "target"]
+__all__ = ["BEST", "LEAST_REACH", "REACH", "aim", "begin"]
 
 #: The target lies this share of the best value above it, at first and at least.
 FIRST_REACH, LEAST_REACH = 0.05, 1e-5
@@ -22,36 +21,31 @@ FIRST_REACH, LEAST_REACH = 0.05, 1e-5
 #: The share shrinks after this many rounds that gain less than this part of it.
 PATIENCE, LEAST_GAIN = 4, 0.1
 
-
-class Ascent(NamedTuple):
-    """How far an ascent has come."""
-
-    best: float  # the highest value so far
-    reach: float  # the share by which the target lies above it
-    stale: int  # rounds since the last one that gained enough
+#: How far an ascent has come, in an array: the highest value so far, the share by which the target lies above it, and the
+#: rounds since the last one that gained enough.
+BEST, REACH, STALE = 0, 1, 2
 
 
-#: The record's type in compiled signatures.
-ASCENT = record_of(Ascent, types.float64, types.float64, types.int64)
-
-
-@compiled_for()
-def begin() -> Ascent:
+def begin() -> FloatArray:
     """Before the first value."""
-    return Ascent(-np.inf, FIRST_REACH, 0)
+    return np.array([-np.inf, FIRST_REACH, 0.0])
 
 
-@compiled_for(ASCENT, types.float64, types.float64, types.float64)
-def seen(ascent: Ascent, value: float, cooling: float, least_reach: float) -> Ascent:
-    """After one more value; a reach that has to shrink is multiplied by ``cooling``, and is ``least_reach`` at least."""
-    best, reach = ascent.best, ascent.reach
-    stale = 0 if value - best > LEAST_GAIN * reach * abs(best) else ascent.stale + 1
+@compiled_for(writable(FLOATS_1), *[types.float64] * 4)
+def aim(ascent: FloatArray, value: float, cooling: float, least_reach: float, upper: float) -> float:
+    """What the next step aims at after one more value; ``ascent`` is brought up to date.
+
+    Args:
+        ascent: (3,) as `begin` makes it.
+        value: Of this round.
+        cooling: What the reach is multiplied by when it has to shrink.
+        least_reach: What it does not shrink below.
+        upper: What the maximum is known not to pass.
+    """
+    best, reach = ascent[BEST], ascent[REACH]
+    stale = 0.0 if value - best > LEAST_GAIN * reach * abs(best) else ascent[STALE] + 1.0
     if stale >= PATIENCE:
-        reach, stale = max(cooling * reach, least_reach), 0
-    return Ascent(max(value, best), reach, stale)
-
-
-@compiled_for(ASCENT, types.float64)
-def target(ascent: Ascent, upper: float) -> float:
-    """What the next step aims at; not above ``upper``, which the maximum is known not to pass."""
-    return min(ascent.best * (1.0 + ascent.reach), max(upper, ascent.best))
+        reach, stale = max(cooling * reach, least_reach), 0.0
+    best = max(value, best)
+    ascent[BEST], ascent[REACH], ascent[STALE] = best, reach, stale
+    return float(min(best * (1.0 + reach), max(upper, best)))

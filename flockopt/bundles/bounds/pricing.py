@@ -7,19 +7,31 @@ bound of the linear program over all ng-routes.
 
 from __future__ import annotations
 
-import time
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flockopt.batches.deadline import NEVER, Deadline, OutOfTime
 from flockopt.bundles.bounds.ng_route import Labels, Neighbourhood, cheapest_labels, count_visits, grow_labels, neighbourhood
-from flockopt.bundles.bounds.polyak import LEAST_REACH, begin, seen, target
+from flockopt.bundles.bounds.polyak import LEAST_REACH, REACH, aim, begin
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["NEIGHBOURS", "DroneGroup", "ascend_prices", "evaluate", "group_drones", "grow", "travel_ceiling"]
+__all__ = [
+    "CLOSED_GAP",
+    "NEIGHBOURS",
+    "DroneGroup",
+    "ascend_prices",
+    "drones_that_share",
+    "evaluate",
+    "group_drones",
+    "grow",
+    "route_loads",
+    "travel_ceiling",
+]
 
 #: Tasks in an ng-neighbourhood, itself included.
 NEIGHBOURS = 8
@@ -29,6 +41,15 @@ DIRECTION_SHARE = 0.5
 
 #: A step is divided by the direction's squared norm, or by this share of the gradient's where that is more.
 LEAST_NORM_SHARE = 0.5
+
+#: An allocation this share above a bound is as good as it gets.
+CLOSED_GAP = 1e-7
+
+#: Steps that aim at less than this part of a gap that is good enough are not worth making.
+REACH_SHARE = 0.25
+
+#: Labels grow for loads that have so many pairs of tasks at a time at least.
+SLICE_PAIRS = 500_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +79,29 @@ class DroneGroup:
     idle: FloatArray
 
 
+def drones_that_share(travel: Travel) -> list[list[int]]:
+    """The drones of each group: those with one travel matrix and one end."""
+    members: dict[tuple[int, bytes], list[int]] = {}
+    for drone, kind in enumerate(travel.drone_class):
+        members.setdefault((int(kind), travel.task_end[drone].tobytes()), []).append(drone)
+    return list(members.values())
+
+
+def route_loads(scene: Scene) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Demands (M,) and what each drone can carry of them (N,), in the largest unit that divides all demands."""
+    demands = scene.demands.astype(np.int64)
+    unit = max(int(np.gcd.reduce(demands)), 1)
+    return demands // unit, np.minimum(scene.capacities, scene.demands.sum()).astype(np.int64) // unit
+
+
 def group_drones(scene: Scene, travel: Travel, size: int = NEIGHBOURS) -> list[DroneGroup]:
     """The fleet in groups that share labels; ``size`` tasks to a neighbourhood."""
-    demands = scene.demands.astype(np.int64)
-    capacities = np.minimum(scene.capacities, scene.demands.sum()).astype(np.int64)
-    members: dict[tuple[int, bytes], list[int]] = {}
-    for drone in range(scene.num_drones):
-        members.setdefault((int(travel.drone_class[drone]), travel.task_end[drone].tobytes()), []).append(drone)
+    demands, capacities = route_loads(scene)
     matrices = [np.ascontiguousarray(matrix) for matrix in travel.task_task]
     near = [neighbourhood(matrix, size) for matrix in matrices]
     groups = []
-    for (kind, _), drones in members.items():
-        ends = travel.task_end[drones[0]]
+    for drones in drones_that_share(travel):
+        kind, ends = travel.drone_class[drones[0]], travel.task_end[drones[0]]
         initial = np.full((capacities[drones].max() + 1, scene.num_tasks), np.inf)
         light = demands < len(initial)
         initial[demands[light], np.flatnonzero(light)] = ends[light]
@@ -89,19 +121,41 @@ def travel_ceiling(travel: Travel) -> float:
     return sum(float(np.where(np.isfinite(part), part, 0.0).max(axis=axis).sum()) for part, axis in ((legs, 0), (ends, 1)))
 
 
-def grow(group: DroneGroup, prices: FloatArray, initial: FloatArray | None = None) -> Labels:
-    """The group's labels under task prices (M,), from ``initial`` if other than its own."""
-    first = group.initial if initial is None else initial
-    near = group.near
-    return Labels(*grow_labels(group.between, near.order, first, prices, group.demands, near.position, near.carried))
+def grow(group: DroneGroup, prices: FloatArray, initial: FloatArray | None = None, deadline: Deadline = NEVER) -> Labels:
+    """The group's labels under task prices (M,), from ``initial`` if other than its own.
+
+    Raises:
+        OutOfTime: If the deadline passes.
+    """
+    start, near = group.initial if initial is None else initial, group.near
+    num_loads, num = start.shape
+    first, cheapest, room = np.zeros(num_loads * num + 1, np.int64), np.full(num_loads, np.inf), 64 * num
+    labels = Labels(first, np.empty(room), *(np.empty(room, np.int64) for _ in range(3)))
+    loads = 1 + SLICE_PAIRS // max(num * num, 1)
+    for head, tail in deadline.slices(-(-num_loads // loads), "pricing routes"):
+        load, last = head * loads, min(tail * loads, num_loads)
+        while load < last:
+            load = grow_labels(
+                group.between, near.order, start, prices, group.demands, near.position, near.carried,
+                load, last, first, cheapest, *labels[1:],
+            )  # fmt: skip
+            if load < last:
+                labels = Labels(first, *(np.concatenate([array, np.empty_like(array)]) for array in labels[1:]))
+    count = first[-1]
+    return Labels(first, labels.costs[:count], labels.fronts[:count], labels.memories[:count], labels.parents[:count])
 
 
-def evaluate(groups: list[DroneGroup], prices: FloatArray) -> tuple[float, FloatArray]:
-    """The bound that prices (M,) prove, metres, and how often the cheapest routes visit each task (M,)."""
+def evaluate(groups: list[DroneGroup], prices: FloatArray, deadline: Deadline = NEVER) -> tuple[float, FloatArray]:
+    """The bound that prices (M,) prove, metres, and how often the cheapest routes visit each task (M,).
+
+    Raises:
+        OutOfTime: If the deadline passes.
+    """
     value, visits = float(prices.sum()), np.zeros(len(prices))
     for group in groups:
-        labels = grow(group, prices)
-        values, chosen = cheapest_labels(labels.first, labels.costs, group.starts, group.capacities, group.idle)
+        labels = grow(group, prices, deadline=deadline)
+        values, chosen = group.idle.copy(), np.full(len(group.idle), -1)
+        cheapest_labels(labels.first, labels.costs, group.starts, group.capacities, values, chosen)
         count_visits(chosen, labels.fronts, labels.parents, visits)
         value += float(values.sum())
     return value, visits
@@ -114,9 +168,10 @@ def ascend_prices(
     rounds: int,
     upper: float,
     cooling: float = 0.7,
-    time_limit_s: float | None = None,
-) -> FloatArray:
-    """Better prices (M,) by a projected subgradient with Polyak steps to a moving target.
+    good: float | FloatArray = CLOSED_GAP,
+    deadline: Deadline = NEVER,
+) -> tuple[float, FloatArray]:
+    """Better prices by a projected subgradient with Polyak steps to a moving target.
 
     Args:
         groups: The fleet.
@@ -124,24 +179,30 @@ def ascend_prices(
         rounds: Evaluations at most.
         upper: Travel of a known allocation, or infinity; no target lies above it.
         cooling: What the reach shrinks to; nearer to 1 ends nearer to the maximum, after more rounds.
-        time_limit_s: Stops the ascent after the round in which it passes.
+        good: Ends it where ``upper`` is no farther above the bound than this share of it, or steps aim much less far; one for
+            each round, or one for all.
+        deadline: Ends the ascent where it is.
+
+    Returns:
+        The best bound, metres, and the prices (M,) that prove it; minus infinity if there was no time for any.
     """
-    deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
-    best_prices, direction = prices, np.zeros_like(prices)
+    best, best_prices, direction = -math.inf, prices, np.zeros_like(prices)
     ascent = begin()
-    for step in range(rounds):
-        value, visits = evaluate(groups, prices)
-        if value > ascent.best:
-            best_prices = prices
-        ascent = seen(ascent, value, cooling, 0.0)
+    for step, near in enumerate(np.broadcast_to(good, rounds)):
+        try:
+            value, visits = evaluate(groups, prices, deadline)
+        except OutOfTime:
+            break
+        if value > best:
+            best, best_prices = value, prices
+        goal = aim(ascent, value, cooling, 0.0, upper)
         gradient = 1.0 - visits
         steepest = gradient[(prices > 0.0) | (gradient > 0.0)]  # what would not leave the positive prices
-        late = deadline is not None and time.monotonic() > deadline
-        if not steepest.any() or ascent.reach < LEAST_REACH or late:
+        if not steepest.any() or ascent[REACH] < max(LEAST_REACH, REACH_SHARE * near) or upper <= best * (1.0 + near):
             break
         share = DIRECTION_SHARE if step else 1.0
         direction = share * gradient + (1.0 - share) * direction
         direction[(prices <= 0.0) & (direction < 0.0)] = 0.0
         norm = max(float(direction @ direction), LEAST_NORM_SHARE * float(steepest @ steepest))
-        prices = np.maximum(0.0, prices + (target(ascent, upper) - value) / norm * direction)
-    return best_prices
+        prices = np.maximum(0.0, prices + (goal - value) / norm * direction)
+    return best, best_prices

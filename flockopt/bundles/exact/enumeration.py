@@ -59,7 +59,8 @@ def enumerate_routes(groups: list[DroneGroup], prices: FloatArray, gap: float, l
     parts = []
     for group in groups:
         labels = grow(group, prices)
-        earned, _ = cheapest_labels(labels.first, labels.costs, group.starts, group.capacities, group.idle)
+        earned = group.idle.copy()
+        cheapest_labels(labels.first, labels.costs, group.starts, group.capacities, earned, np.empty(len(earned), np.int64))
         completions, slack = _completions(group, prices, earned), gap + ROUNDING_M
         tails = Tails(*grow_tails(group.between, group.initial, prices, group.demands, completions, slack, limit))
         if len(tails.fronts) > limit:

@@ -22,8 +22,8 @@ import numpy as np
 
 from flockopt.batches.deadline import Deadline, OutOfTime, heard
 from flockopt.bundles import Bound, Bundles
-from flockopt.bundles.bounds.bounds import first_prices
-from flockopt.bundles.bounds.pricing import DroneGroup, ascend_prices, evaluate, group_drones, travel_ceiling
+from flockopt.bundles.bounds.bounds import first_prices, forest_bound
+from flockopt.bundles.bounds.pricing import DroneGroup, ascend_prices, group_drones, travel_ceiling
 from flockopt.bundles.exact.enumeration import Pool, enumerate_routes, idle_costs
 from flockopt.bundles.exact.route_program import RouteRules, choose_routes
 from flockopt.bundles.explain import LENGTH_TOLERANCE_M, explained
@@ -102,11 +102,13 @@ def solve_exact(
     upper = math.inf if best.status != Status.FEASIBLE else travel.total(best.routes)
     if not scene.num_tasks:
         best = replace(best, status=Status.OPTIMAL if upper < math.inf else best.status)
-        return ExactResult(best, Bound("ng-route", 0.0, np.empty(0)), upper, best.status)
+        return ExactResult(best, forest_bound(scene, travel, rounds=0), upper, best.status)
     ceiling = min(upper, travel_ceiling(travel))
-    groups, prices = group_drones(scene, travel), first_prices(scene, travel, ceiling)
-    prices = ascend_prices(groups, prices, rounds=ROUNDS, upper=ceiling, cooling=COOLING, time_limit_s=deadline.left_s)
-    value = evaluate(groups, prices)[0]
+    groups, prices = group_drones(scene, travel), first_prices(scene, travel, ceiling, deadline)
+    value, prices = ascend_prices(groups, prices, rounds=ROUNDS, upper=ceiling, cooling=COOLING, deadline=deadline)
+    if value == -math.inf:  # no time for one round
+        bound = forest_bound(scene, travel, rounds=0)
+        return ExactResult(best, bound, bound.value, best.status)
     best, proven = _Lists(scene, travel, groups, prices, value, ceiling, deadline).close(best, upper)
     if proven == math.inf and best.status == Status.INCOMPLETE:
         words = "no allocation serves all tasks, and that is proven: all routes were listed"

@@ -138,7 +138,7 @@ def test_the_list_holds_every_route_within_the_gap_and_no_other(seed):
     rng = np.random.default_rng(seed)
     scene, travel = random_instance(rng, drones=2, tasks=6, capacity=[3, 5], ends=seed % 2 == 0, demands=seed % 3 == 0)
     groups = group_drones(scene, travel)
-    prices = ascend_prices(groups, first_prices(scene, travel), rounds=40, upper=math.inf)
+    _, prices = ascend_prices(groups, first_prices(scene, travel), rounds=40, upper=math.inf)
     limits, expected = np.array([math.inf, 40.0]), set()
     least = [travel.start_end[i] for i in range(2)]  # of what each drone can have; the list's own bound is at most that
     routes = [(i, order) for i in range(2) for k in range(1, 6) for order in itertools.permutations(range(6), k)]

@@ -1,14 +1,17 @@
 """Labels over ng-routes against a plain enumeration of them, and the ascent that uses them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from flockopt.bundles.bounds.ng_route import neighbourhood
-from flockopt.bundles.bounds.pricing import ascend_prices, evaluate, group_drones
+from flockopt.batches.deadline import Deadline
+from flockopt.bundles.bounds import pricing
+from flockopt.bundles.bounds.ng_route import count_pairs, neighbourhood
+from flockopt.bundles.bounds.pricing import ascend_prices, evaluate, group_drones, grow, route_loads
 from flockopt.travel import Travel
-from tests.instances import random_instance
+from tests.instances import random_instance, random_scene
 
 
 def cheapest_ng_route(scene, travel, drone, prices, size):
@@ -68,9 +71,57 @@ def test_the_ascent_never_ends_below_its_start():
     rng = np.random.default_rng(5)
     scene, travel = random_instance(rng, drones=3, tasks=9, capacity=4)
     groups, prices = group_drones(scene, travel), rng.uniform(0, 5, 9)
-    better = ascend_prices(groups, prices, rounds=30, upper=math.inf)
+    value, better = ascend_prices(groups, prices, rounds=30, upper=math.inf)
     assert (better >= 0).all()
-    assert evaluate(groups, better)[0] > evaluate(groups, prices)[0]
+    assert evaluate(groups, better)[0] == value > evaluate(groups, prices)[0]
+
+
+def test_the_ascent_ends_where_its_time_does():
+    scene, travel = random_instance(np.random.default_rng(5), drones=3, tasks=9, capacity=4)
+    value, prices = ascend_prices(group_drones(scene, travel), np.ones(9), rounds=30, upper=math.inf, deadline=Deadline(0.0))
+    assert value == -math.inf
+    assert (prices == 1.0).all()
+
+
+def test_the_ascent_ends_where_the_bound_is_good_enough(monkeypatch):
+    scene, travel = random_instance(np.random.default_rng(5), drones=3, tasks=9, capacity=4)
+    groups, evaluated = group_drones(scene, travel), []
+    monkeypatch.setattr(pricing, "evaluate", lambda *given: evaluated.append(given) or evaluate(*given))
+    best, _ = ascend_prices(groups, np.ones(9), rounds=60, upper=math.inf)
+    rounds = len(evaluated)
+    value, _ = ascend_prices(groups, np.ones(9), rounds=60, upper=best * 1.04, good=0.05)
+    assert best * 1.04 <= value * 1.05
+    assert 1 < len(evaluated) - rounds < rounds
+
+
+def test_labels_are_the_same_in_one_go_and_load_by_load(monkeypatch):
+    rng = np.random.default_rng(7)
+    scene, travel = random_instance(rng, drones=2, tasks=9, capacity=7, demands=True)
+    group, prices = group_drones(scene, travel)[0], rng.uniform(0, 9, 9)
+    whole = grow(group, prices)
+    monkeypatch.setattr(pricing, "SLICE_PAIRS", 0)
+    for one, other in zip(whole, grow(group, prices), strict=True):
+        assert (one == other).all()
+
+
+def test_demands_count_in_their_largest_unit():
+    scene = random_scene(np.random.default_rng(2), drones=2, tasks=5, capacity=4, demands=True)
+    grams = scene.replace(
+        drones=tuple(replace(drone, capacity=1000 * drone.capacity + 7) for drone in scene.drones),
+        tasks=tuple(replace(task, demand=1000 * task.demand) for task in scene.tasks),
+    )
+    assert [load.tolist() for load in route_loads(grams)] == [load.tolist() for load in route_loads(scene)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_count_pairs_counts_the_legs_between_tasks_with_labels(seed):
+    rng = np.random.default_rng(seed)
+    scene, travel = random_instance(rng, drones=1, tasks=6, capacity=9, demands=True)
+    demands, capacities = route_loads(scene)
+    labels = grow(group_drones(scene, travel)[0], rng.uniform(0, 9, 6))
+    filled = (labels.first[1:] > labels.first[:-1]).reshape(-1, 6)  # by load and task
+    pairs = sum(filled[load - demand].sum() for load in range(len(filled)) for demand in demands if demand < load)
+    assert 0 < pairs <= count_pairs(demands, int(capacities[0]))
 
 
 def test_no_tasks_cost_what_idle_drones_fly():

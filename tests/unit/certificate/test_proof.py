@@ -10,12 +10,9 @@ from flockopt.bundles import Bound
 from flockopt.certificate import optimum
 from flockopt.certificate.proof import KINDS, recompute_bound
 from flockopt.errors import PlanError
-from tests.instances import random_instance, random_scene, with_cut_legs
-
-
-def length_of(kind, scene):
-    prices = scene.num_tasks
-    return {"rooted-forest": 0, "held-karp-forest": prices + scene.num_drones, "ng-route": prices, "optimum": prices}[kind]
+from flockopt.scene import Bounds, Drone, Scene, Task
+from flockopt.travel.travel import straight_travel
+from tests.instances import random_instance, with_cut_legs
 
 
 def cheapest_travel(scene, travel):
@@ -49,10 +46,11 @@ def test_any_vector_proves_a_bound_below_the_cheapest_travel(kind, seed):
         travel = with_cut_legs(rng, travel, 0.2)
     cheapest = cheapest_travel(scene, travel)
     for scale in (0.1, 1.0, 10.0):
-        dual = rng.normal(size=length_of(kind, scene)) * scale
+        dual = rng.normal(size=KINDS[kind].length(scene)) * scale
         value = recompute_bound(scene, travel, Bound(kind, 1e9, dual))
         assert value <= cheapest + 1e-9
-        assert value == recompute_bound(scene, travel, Bound(kind, 1e9, np.maximum(dual, 0.0)))
+        if not KINDS[kind].is_signed:
+            assert value == recompute_bound(scene, travel, Bound(kind, 1e9, np.maximum(dual, 0.0)))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -86,10 +84,12 @@ def test_rooted_forest_by_hand():
 def test_cut_off_tasks_and_no_tasks(kind):
     scene, travel = random_instance(np.random.default_rng(1), drones=2, tasks=3, capacity=3)
     cut = dataclasses.replace(travel, start_task=np.full((2, 3), np.inf), task_task=np.full((1, 3, 3), np.inf))
-    value = recompute_bound(scene, cut, Bound(kind, 0.0, np.zeros(length_of(kind, scene))))
+    value = recompute_bound(scene, cut, Bound(kind, 0.0, np.zeros(KINDS[kind].length(scene))))
     assert value == (0.0 if kind in ("ng-route", "optimum") else np.inf)
-    empty = random_scene(np.random.default_rng(1), drones=2, tasks=0, capacity=1)
-    assert recompute_bound(empty, travel, Bound(kind, 0.0, np.zeros(length_of(kind, empty)))) == 0.0
+    empty, away = random_instance(np.random.default_rng(1), drones=2, tasks=0, capacity=1, ends=True)
+    idle = away.start_end.sum() if kind == "two-ended-forest" else 0.0
+    assert away.start_end.sum() > 1.0
+    assert recompute_bound(empty, away, Bound(kind, 0.0, np.zeros(KINDS[kind].length(empty)))) == pytest.approx(idle)
 
 
 @pytest.mark.parametrize(
@@ -99,6 +99,9 @@ def test_cut_off_tasks_and_no_tasks(kind):
         ("rooted-forest", np.zeros(1), "dual"),
         ("held-karp-forest", np.zeros(4), "dual"),
         ("held-karp-forest", np.zeros((5, 1)), "dual"),
+        ("two-ended-forest", np.zeros(3), "dual"),
+        ("two-ended-forest", np.array([1.0, 0.0, 0.0, -2e8, 0.0]), "dual"),
+        ("ng-route", np.array([1.0, 1e16, 1.0]), "dual"),
         ("ng-route", np.array([1.0, np.nan, 1.0]), "dual"),
         ("ng-route", np.array([1.0, np.inf, 1.0]), "dual"),
     ],
@@ -108,6 +111,61 @@ def test_proofs_that_are_none_are_named(kind, dual, field):
     with pytest.raises(PlanError) as caught:
         recompute_bound(scene, travel, Bound(kind, 0.0, dual))
     assert caught.value.field == field
+
+
+def line_of(starts, tasks, capacities, demands, ends):
+    """Drones and tasks on the x axis."""
+    bounds = Bounds((-50.0, -1.0, 0.0), (50.0, 1.0, 1.0))
+    drones = tuple(
+        Drone(f"d{i}", (x, 0.0, 0.5), capacities[i], 1e-3, 1.0, 1.0, 1.0, end=ends[i] and (ends[i], 0.0, 0.5))
+        for i, x in enumerate(starts)
+    )
+    places = tuple(Task(f"t{j}", (x, 0.0, 0.5), demands[j]) for j, x in enumerate(tasks))
+    scene = Scene("line", bounds, drones, places)
+    return scene, straight_travel(scene)
+
+
+def test_two_ended_forest_by_hand():
+    # The first drone goes on to 10 m, the second rests where it is done: idle 10 m and 0 m.
+    scene, travel = line_of([0.0, 20.0], [1.0, 3.0, 6.0], [3, 3], [1, 1, 1], [10.0, None])
+
+    def value(prices=(0.0, 0.0, 0.0), first=(0.0, 0.0), capacities=(3, 3)):
+        drones = tuple(dataclasses.replace(drone, capacity=c) for drone, c in zip(scene.drones, capacities, strict=True))
+        dual = np.array([*prices, *first])
+        return recompute_bound(scene.replace(drones=drones), travel, Bound("two-ended-forest", 0.0, dual))
+
+    # The tree is 6 m; 10 m of idling less the change to an end that is 4 m away; no change for the second drone.
+    assert value() == pytest.approx(6.0 + 10.0 - 6.0)
+    # The first drone earns its 4 m back at its last leg, and the second drone's change of 0 m does not count, nor 9 m.
+    assert value(first=(4.0, 0.0)) == pytest.approx(10.0 + 10.0 - 10.0)
+    assert value(first=(0.0, -9.0)) == pytest.approx(1.0 + 2.0 + 3.0 + 4.0)
+    # Legs of the last task cost 2 m each: at the tree's only one, at the end, and taken off twice.
+    assert value(prices=(0.0, 0.0, 2.0)) == pytest.approx(8.0 + 10.0 - 4.0 - 4.0 + min(0.0, 4.0 - 3.0 - 1.0))
+    # Neither can carry all: the second drone has to fly, at no less than nothing more, and is too weak for two tasks.
+    assert value(first=(0.0, -2.0), capacities=(2, 1)) == pytest.approx(6.0 + 4.0 + 2.0)
+    # Nobody carries two tasks, so that all legs are first ones; and two drones are not enough for three tasks.
+    assert value(capacities=(1, 1)) == np.inf
+    lighter, shorter = line_of([0.0, 20.0], [1.0, 6.0], [1, 1], [1, 1], [10.0, None])
+    assert recompute_bound(lighter, shorter, Bound("two-ended-forest", 0.0, np.zeros(4))) == pytest.approx(7.0 + 4.0)
+
+
+def test_demands_count_in_their_largest_unit():
+    """Grams or kilograms: the same routes, and as much to remember."""
+    scene, travel = line_of([0.0, 9.0], [1.0, 3.0, 6.0], [4, 3], [2, 1, 2], [None, 8.0])
+    grams = scene.replace(
+        drones=tuple(dataclasses.replace(drone, capacity=1000 * drone.capacity + 7) for drone in scene.drones),
+        tasks=tuple(dataclasses.replace(task, demand=1000 * task.demand) for task in scene.tasks),
+    )
+    for kind in ("ng-route", "optimum"):
+        proof = Bound(kind, 12.0, np.array([2.0, 1.0, 3.0]))
+        assert recompute_bound(grams, travel, proof) == recompute_bound(scene, travel, proof) > 0.0
+
+
+@pytest.mark.parametrize("kind", ["ng-route", "optimum"])
+def test_more_loads_than_a_judge_goes_through_are_refused(kind):
+    scene, travel = line_of([0.0], [1.0, 3.0], [10**9], [10**8, 10**8 + 1], [None])
+    with pytest.raises(PlanError, match="kind has too many routes to recheck"):
+        recompute_bound(scene, travel, Bound(kind, 1.0, np.zeros(2)))
 
 
 def test_drones_of_several_classes_use_their_own_matrices():
