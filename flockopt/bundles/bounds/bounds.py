@@ -38,7 +38,7 @@ from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["first_prices", "forest_bound", "lower_bound", "ng_route_bound", "tight_bound"]
+__all__ = ["first_prices", "forest_bound", "is_judged", "lower_bound", "ng_route_bound", "tight_bound"]
 
 #: Spanning trees grown for the Held-Karp bound: within 0.1 % of its limit from 10 x 20 to 100 x 1000. Small ones take more
 #: rounds, and are cheap: as many as have so many legs.
@@ -61,6 +61,9 @@ STEP_COST, MEMORY_COST = 1.5, 0.1
 #: Gaps with which the bound ``tight`` is content in its first round and in its last one; with none at first where there are
 #: so few tasks that it costs next to nothing to go on.
 GOOD_GAP, FAIR_GAP, FEW_TASKS = 0.01, 0.06, 12
+
+#: Loads and tasks beyond which routes are not even counted for the bound ``tight``.
+MOST_BUCKETS = 500_000
 
 #: Memories of ng-routes, by load and two tasks, and by load and task, that a judge goes through at most
 #: (docs/certificate.md).
@@ -134,7 +137,7 @@ def _any_end(
 ) -> tuple[Bound, FloatArray]:
     """Prices (2 M,) of ng-routes whose drones pay for any last leg, which all drones of a class can share; the best bound."""
     open_ended = _without_ends(travel)
-    if not len(good) or upper <= best.value * (1.0 + good[0]) or not _is_judged(scene, open_ended):
+    if not len(good) or upper <= best.value * (1.0 + good[0]) or not is_judged(scene, open_ended):
         return best, prices
     groups = group_drones(scene, open_ended)
     least = np.repeat([0.0, -np.inf], scene.num_tasks)
@@ -149,7 +152,7 @@ def _priced(
     scene: Scene, travel: Travel, upper: float, good: FloatArray, deadline: Deadline, best: Bound, prices: FloatArray
 ) -> Bound:
     """The ng-routes where they prove more than ``best``, after as many rounds as ``good`` has, or with one of its gaps."""
-    if not len(good) or upper <= best.value * (1.0 + good[0]) or not _is_judged(scene, travel):
+    if not len(good) or upper <= best.value * (1.0 + good[0]) or not is_judged(scene, travel):
         return best
     matched = match_one_each(scene, travel) if carries_one_at_most(scene) else None
     prices, good = (prices[: scene.num_tasks], good) if matched is None else (matched.prices, good[:1])
@@ -221,6 +224,8 @@ def _relaxed(scene: Scene, travel: Travel) -> tuple[FloatArray, FloatArray, Floa
 def _affordable_rounds(scene: Scene, travel: Travel, share: float) -> int:
     """How many times ng-routes may be priced in this share of next to no time."""
     demands, capacities = route_loads(scene)
+    if capacities.max() * scene.num_tasks > MOST_BUCKETS:
+        return 0
     lightest = np.cumsum(np.sort(demands))
     cost = 0.0
     for drones in drones_that_share(travel):
@@ -233,7 +238,7 @@ def _affordable_rounds(scene: Scene, travel: Travel, share: float) -> int:
     return min(rounds, NG_ROUNDS) if rounds >= LEAST_NG_ROUNDS else 0
 
 
-def _is_judged(scene: Scene, travel: Travel) -> bool:
+def is_judged(scene: Scene, travel: Travel) -> bool:
     """Whether a judge goes through the fleet's ng-routes."""
     demands, capacities = route_loads(scene)
     memories, most = 1 << min(NEIGHBOURS - 1, scene.num_tasks - 1), int(capacities.max())
