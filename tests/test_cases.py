@@ -26,7 +26,7 @@ REFUSED = {
 }
 
 #: What cannot be flown, with words of the reason.
-INFEASIBLE = {"task-at-other-start": ("tasks[0] (t0)", "drones[0] (d0)", "stands for good", "separation (0.5 m)")}
+INFEASIBLE = {"task-at-other-start": ("task 't0'", "drone 'd0'", "stands for good", "separation (0.5 m)")}
 
 #: What may be flown or not, but never wrongly: a failed clause says where.
 EITHER = ("mapft-tunnel", "maxdist-moveon")

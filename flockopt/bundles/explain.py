@@ -80,10 +80,10 @@ def _end_fault(scene: Scene, travel: Travel, drone: int, walls: _Walls) -> tuple
     record, length = scene.drones[drone], travel.start_end[drone]
     if not np.isfinite(length):
         proven = walls.keep_apart(drone, scene.ends[drone])
-        return f"drones[{drone}] ({record.id}): {_no_way('to its end', proven)}; move the end", proven
+        return f"drone {record.id!r}: {_no_way('to its end', proven)}; move the end", proven
     if record.max_distance is not None and length > record.max_distance + LENGTH_TOLERANCE_M:
         reach = f"its max_distance is {record.max_distance:g}"
-        return f"drones[{drone}] ({record.id}) is {length:g} m from its end and {reach}; raise it", True
+        return f"drone {record.id!r} is {length:g} m from its end and {reach}; raise it", True
     return None
 
 
@@ -95,7 +95,7 @@ def _no_way(where: str, proven: bool) -> str:
 
 def _task_fault(scene: Scene, travel: Travel, task: int, is_short: bool, walls: _Walls) -> tuple[str, bool]:
     """Why no drone serves the task, and whether that is proven."""
-    head, demand = f"tasks[{task}] ({scene.tasks[task].id})", scene.demands[task]
+    head, demand = f"task {scene.tasks[task].id!r}", scene.demands[task]
     if scene.capacities.max() == 0:
         return f"{head} is left over; no drone has any capacity left; add drones", True
     if demand > scene.capacities.max():

@@ -50,7 +50,7 @@ def _ends_near(scene: Scene, grounded: list[int]) -> Iterator[str]:
             if shares_apart(scene, i, scene.ends[i], g, scene.starts[g : g + 1])[0] < 1.0 - POSITION_TOLERANCE_M:
                 metres = math.dist(scene.ends[i], scene.starts[g])
                 yield (
-                    f"drones[{i}] ({drone.id}) has its end {metres:.4g} m from where {_stands(scene, g)}, and they must keep "
+                    f"drone {drone.id!r} has its end {metres:.4g} m from where {_stands(scene, g)}, and they must keep "
                     f"{scene.apart_in_words(i, g)} apart; move one of the two"
                 )
 
@@ -69,10 +69,10 @@ def _tasks_near(scene: Scene, grounded: list[int]) -> Iterator[tuple[int, str]]:
         metres = math.dist(scene.tasks[j].position, scene.starts[g])
         yield (
             int(j),
-            f"tasks[{j}] ({scene.tasks[j].id}) is {metres:.4g} m from where {_stands(scene, g)}, and a drone that serves it "
+            f"task {scene.tasks[j].id!r} is {metres:.4g} m from where {_stands(scene, g)}, and a drone that serves it "
             f"must keep {scene.apart_in_words(i, g)} apart; move one of the two, or give the drone that stands there capacity",
         )
 
 
 def _stands(scene: Scene, g: int) -> str:
-    return f"drones[{g}] ({scene.drones[g].id}), which has no capacity and no end, stands for good"
+    return f"drone {scene.drones[g].id!r}, which has no capacity and no end, stands for good"

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from flockopt.certificate import Plan
-from flockopt.errors import SettingsError
+from flockopt.errors import SceneError, SettingsError
 from flockopt.flights import Flight
 from flockopt.geometry.distances import distances
 from flockopt.scene import Drone, Point, Scene, Task
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 
-__all__ = ["Changes", "Situation", "hand_over", "too_near"]
+__all__ = ["Changes", "Situation", "check_added", "hand_over", "too_near"]
 
 #: Slower than this and accelerating less, a drone stands still: what rounding leaves of a rest.
 REST_SPEED_MPS, REST_ACCELERATION_MPS2 = 1e-9, 1e-7
@@ -31,7 +32,7 @@ class Changes:
         added: New tasks.
         removed: Ids of tasks that need no visit any more.
         lost: Ids of drones that are out of the air.
-        late: Seconds from the swap until a drone that stands still then can move again, by id.
+        late: Seconds from the event until a drone that stands still at the swap can move again, by id.
         missed: Ids of tasks that the plan has visited, but nobody has served: they are open again.
     """
 
@@ -53,6 +54,7 @@ class Situation:
         ready_s: Seconds after the swap until a drone may set off (it serves a task, or is late), by id.
         astray: Ids of drones whose old flight leads to tasks that need no visit any more.
         unreachable: Reasons by id of tasks that none of the drones left can come to; they are not in ``scene``.
+        earlier: Task indices of ``scene`` that were there before the event, and are not given up for new ones.
     """
 
     scene: Scene
@@ -61,6 +63,7 @@ class Situation:
     ready_s: dict[str, float]
     astray: frozenset[str]
     unreachable: dict[str, str]
+    earlier: frozenset[int]
 
 
 def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: float | None = None) -> Situation:
@@ -71,7 +74,8 @@ def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: 
         plan: The plan being flown.
         swap_s: Until when it is flown.
         changes: What has happened.
-        now_s: When it happened, ``swap_s`` at the latest, which is the default: lost drones serve nothing after it.
+        now_s: When it happened, ``swap_s`` at the latest, which is the default: lost drones serve nothing after it, and late
+            ones are late from then on.
 
     Raises:
         SceneError: If a new task is not valid in the scene, or rounding makes the moment invalid (two drones only just
@@ -79,8 +83,9 @@ def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: 
         SettingsError: If a drone said to be late is in motion.
     """
     begun = {visit.task for flight in plan.flights.values() for visit in flight.visits if visit.time <= swap_s}
-    lost_s = swap_s if now_s is None else now_s
-    broken_off = {task for drone in changes.lost for task in _unfinished(scene, plan, drone, lost_s, swap_s)}
+    event_s = swap_s if now_s is None else now_s
+    late = {drone: seconds - (swap_s - event_s) for drone, seconds in changes.late.items()}
+    broken_off = {task for drone in changes.lost for task in _unfinished(scene, plan, drone, event_s, swap_s)}
     closed = (begun - broken_off - set(changes.missed)) | set(changes.removed)
     fleet = [drone for drone in scene.drones if drone.id not in changes.lost]
     open_tasks = (*(task for task in scene.tasks if task.id not in closed), *changes.added)
@@ -91,16 +96,34 @@ def hand_over(scene: Scene, plan: Plan, swap_s: float, changes: Changes, now_s: 
     index = {task.id: j for j, task in enumerate(tasks)}
     ahead = set(index) - set(changes.missed)
     routes = tuple(tuple(index[task] for task in plan.routes.get(drone.id, ()) if task in ahead) for drone in fleet)
-    ready_s = {drone.id: _ready(scene, plan, drone, swap_s, changes) for drone in drones}
+    ready_s = {drone.id: max(_late(drone, late), _busy(scene, plan, drone, swap_s)) for drone in drones}
     flights = {}
     for drone in drones:
         flight = _rest_of(plan, drone.id, swap_s, set(index))
         if flight is not None:
-            wait_s = changes.late.get(drone.id, 0.0) - flight.curve.start_time
+            wait_s = late.get(drone.id, 0.0) - flight.curve.start_time
             flights[drone.id] = flight.shifted(wait_s) if wait_s > 0.0 else flight
     dropped = set(changes.removed) - begun
     astray = frozenset(drone.id for drone in fleet if dropped & set(plan.routes.get(drone.id, ())))
-    return Situation(left, routes, flights, ready_s, astray, unreachable)
+    earlier = frozenset(index.values()) - {index[task.id] for task in changes.added if task.id in index}
+    return Situation(left, routes, flights, ready_s, astray, unreachable, earlier)
+
+
+def check_added(scene: Scene, added: Sequence[Task]) -> None:
+    """Refuse new tasks that are not valid beside those of a scene.
+
+    Raises:
+        SceneError: With a field that names the task by its id, as in ``added['t7'].position``.
+    """
+    try:
+        scene.replace(tasks=(*scene.tasks, *added))
+    except SceneError as fault:
+        place = re.match(r"tasks\[(\d+)\]", fault.field)
+        if place is None or int(place[1]) < scene.num_tasks:
+            raise
+        name = added[int(place[1]) - scene.num_tasks].id
+        field = f"added[{name!r}]{fault.field[place.end() :]}"
+        raise SceneError(field, fault.value, fault.rule, fault.mend) from None
 
 
 def too_near(scene: Scene, fleet: Sequence[Drone], tasks: Sequence[Task]) -> dict[str, str]:
@@ -151,11 +174,17 @@ def _unfinished(scene: Scene, plan: Plan, drone: str, now_s: float, until_s: flo
     return {task: seconds for task, seconds in ends.items() if seconds > 0.0}
 
 
-def _ready(scene: Scene, plan: Plan, drone: Drone, swap_s: float, changes: Changes) -> float:
-    late = changes.late.get(drone.id, 0.0)
-    if late > 0.0 and (any(drone.velocity) or any(drone.acceleration)):
-        raise SettingsError(f"late[{drone.id!r}]", f"is {late:g}", "only a drone that stands still can be late", "leave it out")
-    return max([late, *_unfinished(scene, plan, drone.id, swap_s, swap_s).values()])
+def _late(drone: Drone, late: Mapping[str, float]) -> float:
+    """Seconds from the swap until a late drone can move."""
+    seconds = max(late.get(drone.id, 0.0), 0.0)
+    if seconds > 0.0 and (any(drone.velocity) or any(drone.acceleration)):
+        raise SettingsError("late", f"names {drone.id!r}", "only a drone that stands still can be late", "leave it out")
+    return seconds
+
+
+def _busy(scene: Scene, plan: Plan, drone: Drone, swap_s: float) -> float:
+    """Seconds from the swap until a drone has done with the task that it serves then."""
+    return max(_unfinished(scene, plan, drone.id, swap_s, swap_s).values(), default=0.0)
 
 
 def _rest_of(plan: Plan, drone: str, swap_s: float, open_tasks: set[str]) -> Flight | None:

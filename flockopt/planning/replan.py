@@ -28,7 +28,7 @@ from flockopt.flights.apart.deconflict import Deconflicted
 from flockopt.flights.decode import fly
 from flockopt.flights.waypoints import SAME_POINT_M, Waypoints, waypoints_from_paths
 from flockopt.planning.finish import Clock, finish
-from flockopt.planning.handover import Changes, Situation, hand_over
+from flockopt.planning.handover import Changes, Situation, check_added, hand_over
 from flockopt.planning.settings import PlanSettings
 from flockopt.planning.workplace import Workplace
 from flockopt.records.status import Status
@@ -156,7 +156,7 @@ def _check(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: f
 
 def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_s: float) -> tuple[Situation, float] | None:
     """The situation at the first moment after the freeze that is a valid scene, and that moment; None if there is none."""
-    scene.replace(tasks=(*scene.tasks, *changes.added))  # a bad new task is the caller's fault, not the moment's
+    check_added(scene, changes.added)  # a bad new task is the caller's fault, not the moment's
     for attempt in range(1, MOST_SWAPS + 1):
         swap_s = now_s + attempt * freeze_s
         try:
@@ -172,10 +172,11 @@ def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_
 
 def _proposals(situation: Situation, travel: Travel, seed: int) -> Iterator[tuple[str, Bundles]]:
     """Bundles to try, the most wanted first; the old ones, untouched, come last."""
-    old = refine_bundles(situation.scene, travel=travel, iterations=0, seed=seed, warm_start=situation.routes)
+    old = _inserted(situation, travel, seed)
     new = refine_bundles(situation.scene, travel=travel, iterations=ITERATIONS, seed=seed, warm_start=old)
     saves = travel.total(new.routes) < (1.0 - WORTH_CHANGING) * travel.total(old.routes)
-    if saves or len(new.unserved) < len(old.unserved):
+    drops = _left_out(new) & situation.earlier - _left_out(old)
+    if not drops and (saves or len(new.unserved) < len(old.unserved)):
         yield "new", new
     yield "old", old
     yield "appended", _appended(situation, travel)
@@ -183,6 +184,25 @@ def _proposals(situation: Situation, travel: Travel, seed: int) -> Iterator[tupl
     reason = "no certified plan that serves it was found from flight; ask again later"
     left = tuple((task, reason) for task in range(situation.scene.num_tasks) if task not in served)
     yield "kept", Bundles(situation.routes, left)
+
+
+def _inserted(situation: Situation, travel: Travel, seed: int) -> Bundles:
+    """The old bundles with open tasks put in where that is shortest: those that were there before ahead of new ones."""
+    scene, routes = situation.scene, situation.routes
+    bundles = refine_bundles(scene, travel=travel, iterations=0, seed=seed, warm_start=routes)
+    if not _left_out(bundles) & situation.earlier or not set(range(scene.num_tasks)) - situation.earlier:
+        return bundles
+    earlier = sorted(situation.earlier)
+    place = {task: k for k, task in enumerate(earlier)}
+    before = scene.replace(tasks=tuple(scene.tasks[task] for task in earlier))
+    begun = [[place[task] for task in route] for route in routes]
+    first = refine_bundles(before, travel=travel.of_tasks(earlier), iterations=0, seed=seed, warm_start=begun)
+    kept = [[earlier[task] for task in route] for route in first]
+    return refine_bundles(scene, travel=travel, iterations=0, seed=seed, warm_start=kept)
+
+
+def _left_out(bundles: Bundles) -> set[int]:
+    return {task for task, _ in bundles.unserved}
 
 
 def _appended(situation: Situation, travel: Travel) -> Bundles:

@@ -85,6 +85,13 @@ class Travel:
         """What the whole fleet travels on these routes, metres."""
         return float(sum(self.route_length(drone, tasks) for drone, tasks in enumerate(routes)))
 
+    def of_tasks(self, tasks: Sequence[int]) -> Travel:
+        """The distances of some of the tasks, in this order, without paths."""
+        chosen = list(tasks)
+        starts, ends = (np.ascontiguousarray(legs[:, chosen]) for legs in (self.start_task, self.task_end))
+        between = np.ascontiguousarray(self.task_task[:, chosen][:, :, chosen])
+        return Travel(starts, between, ends, self.start_end, self.drone_class)
+
     def path(self, drone: int, origin: int, target: int) -> FloatArray:
         """The polyline of one leg, as long as its entry in the matrices.
 

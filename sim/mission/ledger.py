@@ -94,12 +94,12 @@ class Ledger:
         expected = {due.task for due in self.due}
         return tuple(task for task in self.open if task not in expected)
 
-    def changes(self, scene: Scene, swap_s: float) -> Changes:
+    def changes(self, scene: Scene, now_s: float) -> Changes:
         """All that sets the mission apart from the scene that its plan was made for.
 
         Args:
             scene: That scene.
-            swap_s: The earliest moment of the next swap.
+            now_s: The moment.
         """
         known = {task.id for task in scene.tasks}
         gone = {drone.id for drone in scene.drones} & self.lost.keys()
@@ -107,7 +107,7 @@ class Ledger:
             added=tuple(self.tasks[task] for task in self.open if task not in known),
             removed=tuple(task for task in self.tasks if task in known and task in self.removed),
             lost=tuple(drone for drone in self.lost if drone in gone),
-            late={drone: until - swap_s for drone, until in self.late.items() if until > swap_s and drone not in self.lost},
+            late={drone: until - now_s for drone, until in self.late.items() if until > now_s and drone not in self.lost},
             missed=tuple(task for task in self.left if task in known),
         )
 

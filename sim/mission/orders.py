@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from flockopt.errors import SettingsError
-from flockopt.planning.handover import Changes, too_near
+from flockopt.planning.handover import Changes, check_added, too_near
 from flockopt.planning.replan import Replanned, replan
 from flockopt.records.status import Status
 from sim.mission.flying import end_leg, follow, swap_if_due
@@ -32,7 +32,7 @@ def carry_out(state: MissionState, changes: Changes) -> Replanned:
     _check(state, changes)
     terms, ledger = state.terms, state.ledger.after(changes, state.now_s)
     freeze_s = 0.0 if state.recording.step == 0 and _stands_still(state) else terms.freeze_s
-    asked = ledger.changes(state.scene, state.now_s + freeze_s)
+    asked = ledger.changes(state.scene, state.now_s)
     hopeless = too_near(state.scene, state.scene.drones, asked.added)
     asked = replace(asked, added=tuple(task for task in asked.added if task.id not in hopeless))
     clock_s = max(state.now_s - state.begun_s, 0.0)  # a plan may be swapped in a hair before its moment
@@ -54,7 +54,7 @@ def carry_out(state: MissionState, changes: Changes) -> Replanned:
 
 def _check(state: MissionState, changes: Changes) -> None:
     tasks, drones = set(state.ledger.tasks), set(state.swarm.ids)
-    state.terms.scene.replace(tasks=changes.added)  # for the fleet that took off, not for what is left of it
+    check_added(state.terms.scene.replace(tasks=()), changes.added)  # for the fleet that took off, not for what is left of it
     for field, known in (("removed", tasks), ("lost", drones), ("late", drones)):
         for name in getattr(changes, field):
             if name not in known:

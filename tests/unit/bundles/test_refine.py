@@ -110,21 +110,21 @@ def test_too_little_capacity_names_the_shortage_and_serves_what_fits():
     assert bundles.routes == ((0, 1),)
     assert "demand 3" in bundles.reason
     assert "1 too little" in bundles.reason
-    assert bundles.unserved == ((2, "tasks[2] (t2) is left over; the fleet is full"),)
+    assert bundles.unserved == ((2, "task 't2' is left over; the fleet is full"),)
 
 
 def test_a_task_heavier_than_any_capacity_is_named():
     scene = line([drone(0, 0.0, capacity=3), drone(1, 5.0, capacity=3)], [task(0, 10.0), task(1, 20.0, demand=4)])
     bundles = refined(scene)
     assert bundles.routes[0] + bundles.routes[1] == (0,)
-    assert "tasks[1] (t1) demands 4, more than any capacity (3)" in bundles.reason
+    assert "task 't1' demands 4, more than any capacity (3)" in bundles.reason
 
 
 def test_a_task_beyond_every_reach_is_named_with_its_distance():
     scene = line([drone(0, 0.0, max_distance=30.0)], [task(0, 10.0), task(1, 80.0)])
     bundles = refined(scene)
     assert bundles.routes == ((0,),)
-    assert "tasks[1] (t1) is too far for every drone's max_distance (at least 80 m)" in bundles.reason
+    assert "task 't1' is too far for every drone's max_distance (at least 80 m)" in bundles.reason
 
 
 def test_a_task_walled_in_is_named():
@@ -135,7 +135,7 @@ def test_a_task_walled_in_is_named():
     starts = np.where([False, True], np.inf, travel.start_task)
     bundles = refine_bundles(scene, travel=dataclasses.replace(travel, start_task=starts, task_task=cut))
     assert bundles.routes == ((), (0,))
-    assert "tasks[1] (t1) cannot be reached" in bundles.reason
+    assert "task 't1' cannot be reached" in bundles.reason
 
 
 def test_a_drone_that_cannot_reach_its_end_is_named():
@@ -143,7 +143,7 @@ def test_a_drone_that_cannot_reach_its_end_is_named():
     bundles = refined(scene)
     assert bundles.routes == ((), (0,))
     assert bundles.status == "infeasible"
-    assert "drones[0] (d0) is 90 m from its end and its max_distance is 50" in bundles.reason
+    assert "drone 'd0' is 90 m from its end and its max_distance is 50" in bundles.reason
 
 
 def test_a_limit_just_met_is_met():

@@ -25,7 +25,7 @@ def test_an_end_at_a_grounded_drone(scene):
     made = plan(blocked, planner="classical")
     assert made.status == "infeasible"
     assert made.reason == (
-        "drones[0] (d0) has its end 0.2 m from where drones[1] (d1), which has no capacity and no end, stands for good, and "
+        "drone 'd0' has its end 0.2 m from where drone 'd1', which has no capacity and no end, stands for good, and "
         "they must keep at least the separation (0.4 m) apart; move one of the two"
     )
 
@@ -39,7 +39,7 @@ def test_a_task_at_a_grounded_drone(scene):
     near = dataclasses.replace(scene.tasks[0], position=(9.0, 1.3, 1.0))
     found = grounded_in_the_way(changed(scene, {"capacity": 9}, {"capacity": 0}, tasks=(near, *scene.tasks[1:])))
     assert [task for task, _ in found.unserved] == [0]
-    assert "tasks[0] (t0) is 0.3 m from where drones[1] (d1)" in found.reason
+    assert "task 't0' is 0.3 m from where drone 'd1'" in found.reason
 
 
 def test_bodies_count_too_and_a_small_drone_may_pass_where_a_large_one_may_not(scene):

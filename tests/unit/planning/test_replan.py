@@ -186,8 +186,8 @@ def test_a_drone_that_is_late_waits_no_longer_than_it_is_late():
     assert answer.swap_s == 0.0
     assert answer.plan.flights["d0"].curve.start_time == pytest.approx(2.0)
     assert answer.plan.flights["d1"].curve.start_time == pytest.approx(0.0)
-    again = replan(answer.scene, answer.plan, 1.0, Changes(late={"d0": 0.7}))
-    assert again.plan.flights["d0"].curve.start_time == pytest.approx(0.7)
+    again = replan(answer.scene, answer.plan, 1.0, Changes(late={"d0": 1.0}), freeze_s=0.3)
+    assert again.plan.flights["d0"].curve.start_time == pytest.approx(0.7)  # a second after the event
     with pytest.raises(SettingsError, match="late"):
         replan(scene, old, 1.0, Changes(late={"d0": 2.0}))
 
@@ -216,9 +216,42 @@ def test_changes_that_name_what_is_not_there(flying, changes: Changes, words: st
 
 def test_a_bad_new_task_a_foreign_plan_and_a_bad_time(flying):
     scene, old = flying
-    with pytest.raises(SceneError, match=r"tasks\[12\]"):
+    with pytest.raises(SceneError, match=r"added\['new'\]"):
         replan(scene, old, 1.0, Changes(added=(Task("new", (99.0, 0.0, 1.0)),)))
     with pytest.raises(SettingsError, match="now_s is -1"):
         replan(scene, old, -1.0, Changes())
     with pytest.raises(SettingsError, match="plan is for scene"):
         replan(generate("forest", drones=5, tasks=12, seed=5), old, 1.0, Changes())
+
+
+def test_no_task_is_given_up_for_new_ones():
+    tasks = [(4, 5, 1), (9, 9, 3), (8, 1, 3)]
+    scene = make_scene([drone(0, (1, 5, 1), 3)], tasks)
+    near = tuple(Task(f"near{k}", (2.0 + 0.3 * k, 5.0, 1.0)) for k in range(3))
+    answer = replan(scene, plan(scene, planner="classical"), 0.0, Changes(added=near), freeze_s=0.0)
+    assert answer.plan.status == "certified"
+    assert served(answer) == {"t0", "t1", "t2"}
+    assert set(answer.unserved) == {"near0", "near1", "near2"}
+
+
+def test_tasks_of_a_lost_drone_go_before_new_ones():
+    scene = make_scene([drone(0, (1, 5, 1), 2), drone(1, (9, 5, 1), 1)], [(2, 5, 1), (8, 9, 3)])
+    old = plan(scene, planner="classical")
+    assert old.routes["d1"] == ("t1",)
+    answer = replan(scene, old, 0.0, Changes(added=(Task("near", (2.0, 4.0, 1.0)),), lost=("d1",)), freeze_s=0.0)
+    assert answer.plan.status == "certified"
+    assert served(answer) == {"t0", "t1"}
+    assert set(answer.unserved) == {"near"}
+
+
+@pytest.mark.parametrize(
+    ("added", "words"),
+    [
+        (Task("new", (5.0, 50.0, 1.0)), r"added\['new'\]\.position\[1\] is 50"),
+        (Task("t1", (5.0, 5.0, 1.0)), r"added\['t1'\]\.id is 't1'"),
+    ],
+)
+def test_a_bad_new_task_is_named_by_its_id(added, words):
+    scene = make_scene([drone(0, (1, 5, 1), 2)], [(2, 5, 1), (8, 9, 3)])
+    with pytest.raises(SceneError, match=words):
+        replan(scene, plan(scene, planner="classical"), 0.0, Changes(added=(added,)))

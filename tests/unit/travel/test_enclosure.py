@@ -59,7 +59,7 @@ def test_an_end_behind_walls_is_out_of_reach():
     scene = closet(0.0).replace(tasks=(), drones=(drone(0, OUTSIDE, radius=0.2, end=INSIDE),))
     result = plan(scene, planner="classical")
     assert result.status == "infeasible"
-    assert "drones[0] (d0): there is no way to its end, and that is proven" in result.reason
+    assert "drone 'd0': there is no way to its end, and that is proven" in result.reason
 
 
 def test_a_place_inside_an_obstacle_is_out_of_reach_and_open_air_is_not():
