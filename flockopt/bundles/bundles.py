@@ -70,8 +70,8 @@ class Bound:
     """A proven lower bound on the travel of every feasible allocation, with what proves it.
 
     Attributes:
-        kind: ``"two-ended-forest"``, ``"ng-route"`` or ``"optimum"``; in older plans also ``"rooted-forest"`` or
-            ``"held-karp-forest"``.
+        kind: ``"two-ended-forest"``, ``"ng-route"``, ``"ng-route-any-end"`` or ``"optimum"``; in older plans also
+            ``"rooted-forest"`` or ``"held-karp-forest"``.
         value: Metres.
         dual: The vector from which anyone can recompute ``value`` (docs/certificate.md says how for each kind).
     """

@@ -388,7 +388,7 @@ def wrong_proof(scene: Scene, plan: Plan, rng: np.random.Generator) -> Mutation:
     if proof is None or plan.cost.lower_bound is None or not scene.tasks:
         return None
     dual = np.append(proof.dual, 0.0)
-    if proof.kind in ("two-ended-forest", "held-karp-forest") and rng.integers(2):
+    if proof.kind in ("two-ended-forest", "ng-route-any-end", "held-karp-forest") and rng.integers(2):
         dual = np.array(proof.dual)
         dual[int(rng.integers(scene.num_tasks))] += 10.0 ** rng.integers(4, 12)
     certificate = replace(plan.certificate, bound=Bound(proof.kind, proof.value, dual))

@@ -7,7 +7,7 @@ from flockopt.certificate.judge import certify
 from tests.mutation.mutations import MUTATIONS, mutate
 from tests.mutation.valid_plans import lane_scene, plan_of_lanes
 
-KINDS = ("two-ended-forest", "ng-route", "held-karp-forest", "rooted-forest")
+KINDS = ("two-ended-forest", "ng-route", "ng-route-any-end", "held-karp-forest", "rooted-forest")
 
 
 def valid_case(seed):

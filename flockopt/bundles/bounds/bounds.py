@@ -11,6 +11,7 @@ The value is what whoever recomputes it from the vector finds; at a deadline it 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,8 +24,10 @@ from flockopt.bundles.bounds.polyak import begin
 from flockopt.bundles.bounds.pricing import (
     CLOSED_GAP,
     NEIGHBOURS,
+    ascend,
     ascend_prices,
     drones_that_share,
+    evaluate_any_end,
     group_drones,
     route_loads,
     travel_ceiling,
@@ -35,7 +38,7 @@ from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
 
-__all__ = ["first_prices", "forest_bound", "lower_bound", "ng_route_bound", "tight_bound"]
+__all__ = ["first_prices", "forest_bound", "is_judged", "lower_bound", "ng_route_bound", "tight_bound"]
 
 #: Spanning trees grown for the Held-Karp bound: within 0.1 % of its limit from 10 x 20 to 100 x 1000. Small ones take more
 #: rounds, and are cheap: as many as have so many legs.
@@ -48,12 +51,19 @@ NG_ROUNDS = 80
 #: group of drones costs, whatever its routes. Less than a few rounds are not worth their time.
 TIGHT_COST, TIGHT_COST_A_TASK, GROUP_COST, LEAST_NG_ROUNDS = 600_000, 5_000, 1_500, 4
 
+#: What of it routes with any end may cost, as many as there are without ends: before routes with ends of their own, and where
+#: those are too many.
+ANY_END_SHARE, ANY_END_ALONE = 0.4, 1.5
+
 #: What a step between two tasks costs at least; more, with the cube of how many tasks on a route are remembered.
 STEP_COST, MEMORY_COST = 1.5, 0.1
 
 #: Gaps with which the bound ``tight`` is content in its first round and in its last one; with none at first where there are
 #: so few tasks that it costs next to nothing to go on.
 GOOD_GAP, FAIR_GAP, FEW_TASKS = 0.01, 0.06, 12
+
+#: Loads and tasks beyond which routes are not even counted for the bound ``tight``.
+MOST_BUCKETS = 500_000
 
 #: Memories of ng-routes, by load and two tasks, and by load and task, that a judge goes through at most
 #: (docs/certificate.md).
@@ -95,8 +105,15 @@ def forest_bound(
 def tight_bound(scene: Scene, travel: Travel, upper: float = math.inf, *, deadline: Deadline = NEVER) -> Bound:
     """The forest, or the ng-routes where they prove more and cost little."""
     good = CLOSED_GAP if scene.num_tasks <= FEW_TASKS else GOOD_GAP
-    rounds = _affordable_rounds(scene, travel)
-    return _priced(scene, travel, upper, rounds, np.linspace(good, FAIR_GAP, rounds), deadline)
+    best, prices = _forest(scene, travel, upper, None, deadline)
+    if not scene.num_tasks or upper <= best.value:
+        return best
+    own = _have_ends_of_their_own(scene, travel)
+    rounds = _affordable_rounds(scene, travel, 1.0 - ANY_END_SHARE if own else 1.0)
+    if own:
+        before = _affordable_rounds(scene, _without_ends(travel), ANY_END_SHARE if rounds else ANY_END_ALONE)
+        best, prices = _any_end(scene, travel, upper, np.linspace(good, FAIR_GAP, before), deadline, best, prices)
+    return _priced(scene, travel, upper, np.linspace(good, FAIR_GAP, rounds), deadline, best, prices)
 
 
 def ng_route_bound(
@@ -104,33 +121,66 @@ def ng_route_bound(
 ) -> Bound:
     """The Lagrangian of all ng-routes within the capacities; its vector is a price for each task (M,).
 
-    The forest where that proves more, or there is no time for the first round, or a judge would not go through the routes.
+    Others where they prove more, or there is no time for the first round, or a judge would not go through the routes.
     """
-    return _priced(scene, travel, upper, rounds, np.full(rounds, CLOSED_GAP), deadline)
-
-
-def _priced(scene: Scene, travel: Travel, upper: float, rounds: int, good: FloatArray, deadline: Deadline) -> Bound:
-    """The forest, or the ng-routes where they prove more, after so many rounds or with a gap that is ``good`` (rounds,)."""
+    good = np.full(rounds, CLOSED_GAP)
     best, prices = _forest(scene, travel, upper, None, deadline)
-    if not rounds or not scene.num_tasks or upper <= best.value * (1.0 + CLOSED_GAP) or not _is_judged(scene, travel):
+    if not scene.num_tasks or upper <= best.value:
+        return best
+    if _have_ends_of_their_own(scene, travel):
+        best, prices = _any_end(scene, travel, upper, good, deadline, best, prices)
+    return _priced(scene, travel, upper, good, deadline, best, prices)
+
+
+def _any_end(
+    scene: Scene, travel: Travel, upper: float, good: FloatArray, deadline: Deadline, best: Bound, prices: FloatArray
+) -> tuple[Bound, FloatArray]:
+    """Prices (2 M,) of ng-routes whose drones pay for any last leg, which all drones of a class can share; the best bound."""
+    open_ended = _without_ends(travel)
+    if not len(good) or upper <= best.value * (1.0 + good[0]) or not is_judged(scene, open_ended):
+        return best, prices
+    groups = group_drones(scene, open_ended)
+    least = np.repeat([0.0, -np.inf], scene.num_tasks)
+    value, prices = ascend(
+        lambda point: evaluate_any_end(groups, travel.task_end, travel.start_end, point, deadline),
+        prices, least, rounds=len(good), upper=min(upper, travel_ceiling(travel)), good=good,
+    )  # fmt: skip
+    return (Bound("ng-route-any-end", value, prices) if value > best.value else best), prices
+
+
+def _priced(
+    scene: Scene, travel: Travel, upper: float, good: FloatArray, deadline: Deadline, best: Bound, prices: FloatArray
+) -> Bound:
+    """The ng-routes where they prove more than ``best``, after as many rounds as ``good`` has, or with one of its gaps."""
+    if not len(good) or upper <= best.value * (1.0 + good[0]) or not is_judged(scene, travel):
         return best
     matched = match_one_each(scene, travel) if carries_one_at_most(scene) else None
-    if matched is not None:
-        prices, rounds, good = matched.prices, 1, good[:1]
-    ceiling = min(upper, travel_ceiling(travel))
+    prices, good = (prices[: scene.num_tasks], good) if matched is None else (matched.prices, good[:1])
     value, prices = ascend_prices(
-        group_drones(scene, travel), prices, rounds=rounds, upper=ceiling, good=good, deadline=deadline
-    )
+        group_drones(scene, travel), prices, rounds=len(good), upper=min(upper, travel_ceiling(travel)), good=good,
+        deadline=deadline,
+    )  # fmt: skip
     return Bound("ng-route", value, prices) if value > best.value else best
+
+
+def _have_ends_of_their_own(scene: Scene, travel: Travel) -> bool:
+    """Whether drones have routes of several tasks that others would share if ends did not count."""
+    return not carries_one_at_most(scene) and len(drones_that_share(travel)) > len(drones_that_share(_without_ends(travel)))
+
+
+def _without_ends(travel: Travel) -> Travel:
+    """The same drones, which stay where they serve their last tasks and have to fly."""
+    ends = np.zeros_like(travel.task_end)
+    return replace(travel, task_end=ends, start_end=np.full(len(ends), np.inf))
 
 
 def first_prices(scene: Scene, travel: Travel, upper: float = math.inf, deadline: Deadline = NEVER) -> FloatArray:
     """Prices of tasks (M,) that prove about the forest's bound when routes are priced with them."""
-    return _forest(scene, travel, upper, None, deadline)[1]
+    return _forest(scene, travel, upper, None, deadline)[1][: scene.num_tasks]
 
 
 def _forest(scene: Scene, travel: Travel, upper: float, rounds: int | None, deadline: Deadline) -> tuple[Bound, FloatArray]:
-    """The forest's bound, and prices of tasks (M,) for routes."""
+    """The forest's bound, and prices for routes (2 M,): of tasks, and of where routes end and last legs begin."""
     num_tasks, num = scene.num_tasks, scene.num_tasks + scene.num_drones
     legs = max(num_tasks * (num_tasks + 2 * scene.num_drones), 1)
     if rounds is None:
@@ -149,7 +199,8 @@ def _forest(scene: Scene, travel: Travel, upper: float, rounds: int | None, dead
     shares = np.where(np.isfinite(shares), np.maximum(0.0, shares), 0.0)
     # What the drones that must fly add to the tree is shared out by demand.
     rest = max(value - float(shares.sum() + relaxed[3].sum()), 0.0) if np.isfinite(value) and num_tasks else 0.0
-    return Bound("two-ended-forest", value, best), shares + rest * scene.demands / max(scene.demands.sum(), 1)
+    shares += rest * scene.demands / max(scene.demands.sum(), 1)
+    return Bound("two-ended-forest", value, best), np.concatenate([shares, best[:num_tasks]])
 
 
 def _relaxed(scene: Scene, travel: Travel) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int]:
@@ -170,11 +221,11 @@ def _relaxed(scene: Scene, travel: Travel) -> tuple[FloatArray, FloatArray, Floa
     return starts, between, ends, idle, needed
 
 
-def _affordable_rounds(scene: Scene, travel: Travel) -> int:
-    """How many times ng-routes may be priced in next to no time."""
-    if not scene.num_tasks:
-        return 0
+def _affordable_rounds(scene: Scene, travel: Travel, share: float) -> int:
+    """How many times ng-routes may be priced in this share of next to no time."""
     demands, capacities = route_loads(scene)
+    if capacities.max() * scene.num_tasks > MOST_BUCKETS:
+        return 0
     lightest = np.cumsum(np.sort(demands))
     cost = 0.0
     for drones in drones_that_share(travel):
@@ -183,11 +234,11 @@ def _affordable_rounds(scene: Scene, travel: Travel) -> int:
         cost += GROUP_COST + (STEP_COST + MEMORY_COST * remembered**3) * count_pairs(demands, most)
     if carries_one_at_most(scene):
         cost /= NG_ROUNDS  # one round is enough
-    rounds = int((TIGHT_COST + TIGHT_COST_A_TASK * scene.num_tasks) / cost)
+    rounds = int(share * (TIGHT_COST + TIGHT_COST_A_TASK * scene.num_tasks) / cost)
     return min(rounds, NG_ROUNDS) if rounds >= LEAST_NG_ROUNDS else 0
 
 
-def _is_judged(scene: Scene, travel: Travel) -> bool:
+def is_judged(scene: Scene, travel: Travel) -> bool:
     """Whether a judge goes through the fleet's ng-routes."""
     demands, capacities = route_loads(scene)
     memories, most = 1 << min(NEIGHBOURS - 1, scene.num_tasks - 1), int(capacities.max())

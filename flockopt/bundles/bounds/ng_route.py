@@ -213,13 +213,17 @@ def cheapest_labels(
                         values[drone], labels[drone] = starts[drone, task] + cheapest[task], best[task]
 
 
-@compiled_for(INTEGERS_1, INTEGERS_1, INTEGERS_1, writable(FLOATS_1))
-def count_visits(labels: NDArray[np.int64], fronts: NDArray[np.int64], parents: NDArray[np.int64], visits: FloatArray) -> None:
-    """Add to ``visits`` (M,) how often the routes of ``labels`` serve each task."""
+@compiled_for(INTEGERS_1, INTEGERS_1, INTEGERS_1, writable(FLOATS_1), writable(FLOATS_1))
+def count_visits(
+    labels: NDArray[np.int64], fronts: NDArray[np.int64], parents: NDArray[np.int64], visits: FloatArray, lasts: FloatArray
+) -> None:
+    """Add to ``visits`` (M,) how often the routes of ``labels`` serve each task, to ``lasts`` (M,) how often as their last."""
     for start in labels:
         label = start
         while label >= 0:
             visits[fronts[label]] += 1.0
+            if parents[label] < 0:
+                lasts[fronts[label]] += 1.0
             label = parents[label]
 
 

@@ -8,6 +8,7 @@ bound of the linear program over all ng-routes.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,9 +25,11 @@ __all__ = [
     "CLOSED_GAP",
     "NEIGHBOURS",
     "DroneGroup",
+    "ascend",
     "ascend_prices",
     "drones_that_share",
     "evaluate",
+    "evaluate_any_end",
     "group_drones",
     "grow",
     "route_loads",
@@ -151,14 +154,45 @@ def evaluate(groups: list[DroneGroup], prices: FloatArray, deadline: Deadline = 
     Raises:
         OutOfTime: If the deadline passes.
     """
-    value, visits = float(prices.sum()), np.zeros(len(prices))
+    value, visits, lasts = float(prices.sum()), np.zeros(len(prices)), np.zeros(len(prices))
     for group in groups:
         labels = grow(group, prices, deadline=deadline)
         values, chosen = group.idle.copy(), np.full(len(group.idle), -1)
         cheapest_labels(labels.first, labels.costs, group.starts, group.capacities, values, chosen)
-        count_visits(chosen, labels.fronts, labels.parents, visits)
+        count_visits(chosen, labels.fronts, labels.parents, visits, lasts)
         value += float(values.sum())
     return value, visits
+
+
+def evaluate_any_end(
+    groups: list[DroneGroup], ends: FloatArray, idle: FloatArray, prices: FloatArray, deadline: Deadline = NEVER
+) -> tuple[float, FloatArray]:
+    """The bound of routes whose drones pay for any last leg, metres, and its slope along the prices (2 M,).
+
+    Args:
+        groups: Drones with one travel matrix each, as if without ends (`group_drones` of such a travel).
+        ends: (N, M) m from each task to each end.
+        idle: (N,) m flown without tasks.
+        prices: (2 M,) m, of tasks, then what a drone earns where its route ends and pays where its last leg begins.
+        deadline: When to stop.
+
+    Raises:
+        OutOfTime: If the deadline passes.
+    """
+    tasks, turns = np.split(prices, 2)
+    visits, lasts, begun = np.zeros(len(tasks)), np.zeros(len(tasks)), np.zeros(len(tasks))
+    legs = ends + turns
+    first, leg = legs.argmin(axis=1), legs.min(axis=1)
+    leg = np.where(np.isfinite(leg), leg, 0.0)
+    value = float(tasks.sum())
+    for group in groups:
+        labels = grow(group, tasks, group.initial - turns, deadline)
+        values, chosen = idle[group.drones] - leg[group.drones], np.full(len(group.drones), -1)
+        cheapest_labels(labels.first, labels.costs, group.starts, group.capacities, values, chosen)
+        count_visits(chosen, labels.fronts, labels.parents, visits, lasts)
+        np.add.at(begun, first[group.drones[chosen >= 0]], 1.0)
+        value += float((values + leg[group.drones]).sum())
+    return value, np.concatenate([1.0 - visits, begun - lasts])
 
 
 def ascend_prices(
@@ -171,38 +205,56 @@ def ascend_prices(
     good: float | FloatArray = CLOSED_GAP,
     deadline: Deadline = NEVER,
 ) -> tuple[float, FloatArray]:
+    """Better prices (M,) of tasks, >= 0, for `evaluate`; for the rest see `ascend`."""
+
+    def slope(prices: FloatArray) -> tuple[float, FloatArray]:
+        value, visits = evaluate(groups, prices, deadline)
+        return value, 1.0 - visits
+
+    return ascend(slope, prices, np.zeros(len(prices)), rounds=rounds, upper=upper, cooling=cooling, good=good)
+
+
+def ascend(
+    slope: Callable[[FloatArray], tuple[float, FloatArray]],
+    prices: FloatArray,
+    least: FloatArray,
+    *,
+    rounds: int,
+    upper: float,
+    cooling: float = 0.7,
+    good: float | FloatArray = CLOSED_GAP,
+) -> tuple[float, FloatArray]:
     """Better prices by a projected subgradient with Polyak steps to a moving target.
 
     Args:
-        groups: The fleet.
-        prices: (M,) to begin with, >= 0.
+        slope: The bound that prices prove, metres, and its slope along them; `OutOfTime` from it ends the ascent.
+        prices: (P,) to begin with.
+        least: (P,) what they are not to fall below.
         rounds: Evaluations at most.
         upper: Travel of a known allocation, or infinity; no target lies above it.
         cooling: What the reach shrinks to; nearer to 1 ends nearer to the maximum, after more rounds.
         good: Ends it where ``upper`` is no farther above the bound than this share of it, or steps aim much less far; one for
             each round, or one for all.
-        deadline: Ends the ascent where it is.
 
     Returns:
-        The best bound, metres, and the prices (M,) that prove it; minus infinity if there was no time for any.
+        The best bound, metres, and the prices (P,) that prove it; minus infinity if there was no time for any.
     """
     best, best_prices, direction = -math.inf, prices, np.zeros_like(prices)
     ascent = begin()
     for step, near in enumerate(np.broadcast_to(good, rounds)):
         try:
-            value, visits = evaluate(groups, prices, deadline)
+            value, gradient = slope(prices)
         except OutOfTime:
             break
         if value > best:
             best, best_prices = value, prices
         goal = aim(ascent, value, cooling, 0.0, upper)
-        gradient = 1.0 - visits
-        steepest = gradient[(prices > 0.0) | (gradient > 0.0)]  # what would not leave the positive prices
+        steepest = gradient[(prices > least) | (gradient > 0.0)]  # what would not leave the prices that may be
         if not steepest.any() or ascent[REACH] < max(LEAST_REACH, REACH_SHARE * near) or upper <= best * (1.0 + near):
             break
         share = DIRECTION_SHARE if step else 1.0
         direction = share * gradient + (1.0 - share) * direction
-        direction[(prices <= 0.0) & (direction < 0.0)] = 0.0
+        direction[(prices <= least) & (direction < 0.0)] = 0.0
         norm = max(float(direction @ direction), LEAST_NORM_SHARE * float(steepest @ steepest))
-        prices = np.maximum(0.0, prices + (goal - value) / norm * direction)
+        prices = np.maximum(least, prices + (goal - value) / norm * direction)
     return best, best_prices

@@ -22,7 +22,7 @@ import numpy as np
 
 from flockopt.batches.deadline import Deadline, OutOfTime, heard
 from flockopt.bundles import Bound, Bundles
-from flockopt.bundles.bounds.bounds import first_prices, forest_bound
+from flockopt.bundles.bounds.bounds import first_prices, forest_bound, is_judged
 from flockopt.bundles.bounds.pricing import DroneGroup, ascend_prices, group_drones, travel_ceiling
 from flockopt.bundles.exact.enumeration import Pool, enumerate_routes, idle_costs
 from flockopt.bundles.exact.route_program import RouteRules, choose_routes
@@ -103,12 +103,14 @@ def solve_exact(
     if not scene.num_tasks:
         best = replace(best, status=Status.OPTIMAL if upper < math.inf else best.status)
         return ExactResult(best, forest_bound(scene, travel, rounds=0), upper, best.status)
+    forested = forest_bound(scene, travel, rounds=0)
+    if not is_judged(scene, travel):  # too many loads and tasks to list routes by
+        return ExactResult(best, forested, forested.value, best.status)
     ceiling = min(upper, travel_ceiling(travel))
     groups, prices = group_drones(scene, travel), first_prices(scene, travel, ceiling, deadline)
     value, prices = ascend_prices(groups, prices, rounds=ROUNDS, upper=ceiling, cooling=COOLING, deadline=deadline)
     if value == -math.inf:  # no time for one round
-        bound = forest_bound(scene, travel, rounds=0)
-        return ExactResult(best, bound, bound.value, best.status)
+        return ExactResult(best, forested, forested.value, best.status)
     best, proven = _Lists(scene, travel, groups, prices, value, ceiling, deadline).close(best, upper)
     if proven == math.inf and best.status == Status.INCOMPLETE:
         words = "no allocation serves all tasks, and that is proven: all routes were listed"

@@ -159,7 +159,10 @@ def test_a_proven_optimum_without_tasks_is_what_drones_fly_to_their_ends():
 
 def test_what_no_judge_would_go_through_is_not_claimed():
     scene = line_scene([0.0], [1.0, 3.0], [10**9], demands=[10**8, 10**8 + 1])
-    assert lower_bound(scene, straight_travel(scene), bound="exact").kind == "two-ended-forest"
+    travel = straight_travel(scene)
+    for kind in ("tight", "exact"):
+        assert lower_bound(scene, travel, bound=kind).kind == "two-ended-forest"
+    assert solve_exact(scene, travel).proven == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize(("setting", "value"), [("bound", "tightest"), ("upper", math.nan), ("upper", -1.0)])

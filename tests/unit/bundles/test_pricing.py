@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from flockopt.batches.deadline import Deadline
+from flockopt.bundles import Bound
 from flockopt.bundles.bounds import pricing
 from flockopt.bundles.bounds.ng_route import count_pairs, neighbourhood
-from flockopt.bundles.bounds.pricing import ascend_prices, evaluate, group_drones, grow, route_loads
+from flockopt.bundles.bounds.pricing import ascend_prices, evaluate, evaluate_any_end, group_drones, grow, route_loads
+from flockopt.certificate.proof import recompute_bound
 from flockopt.travel import Travel
 from tests.instances import random_instance, random_scene
 
@@ -65,6 +67,19 @@ def test_visits_are_the_subgradient():
     for other in rng.uniform(0, 9, (20, 8)):
         # The bound is concave in the prices, so it lies below each of its tangents.
         assert evaluate(groups, other)[0] <= value + (1 - visits) @ (other - prices) + 1e-9
+
+
+def test_any_end_has_its_slope_and_is_below_routes_with_their_own():
+    rng = np.random.default_rng(3)
+    scene, travel = random_instance(rng, drones=3, tasks=8, capacity=3, ends=True)
+    without = replace(travel, task_end=np.zeros_like(travel.task_end), start_end=np.full(3, np.inf))
+    groups, prices = group_drones(scene, without), np.concatenate([rng.uniform(1, 6, 8), rng.normal(0, 2, 8)])
+    value, slope = evaluate_any_end(groups, travel.task_end, travel.start_end, prices)
+    assert value == pytest.approx(recompute_bound(scene, travel, Bound("ng-route-any-end", 0.0, prices)))
+    assert value <= evaluate(group_drones(scene, travel), prices[:8])[0] + 1e-9
+    for other in np.concatenate([rng.uniform(0, 9, (20, 8)), rng.normal(0, 3, (20, 8))], axis=1):
+        bound = evaluate_any_end(groups, travel.task_end, travel.start_end, other)[0]
+        assert bound <= value + slope @ (other - prices) + 1e-9
 
 
 def test_the_ascent_never_ends_below_its_start():

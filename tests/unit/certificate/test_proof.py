@@ -54,6 +54,25 @@ def test_any_vector_proves_a_bound_below_the_cheapest_travel(kind, seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_any_end_is_paid_for_where_routes_end(seed):
+    rng = np.random.default_rng(seed)
+    scene, travel = random_instance(rng, drones=2, tasks=5, capacity=[4, 5], ends=True, demands=True)
+    prices, turns = rng.uniform(0, 15, 5), rng.normal(0, 4, 5)
+    expected = prices.sum()
+    routes = [route for size in range(1, 6) for route in itertools.permutations(range(5), size)]
+    for drone in range(2):
+        last = (travel.task_end[drone] + turns).min()
+        flown = [
+            travel.route_length(drone, route) - travel.task_end[drone, route[-1]] - prices[list(route)].sum() - turns[route[-1]]
+            for route in routes
+            if scene.demands[list(route)].sum() <= scene.capacities[drone]
+        ]
+        expected += min(travel.start_end[drone], min(flown) + last)
+    dual = np.concatenate([prices, turns])
+    assert recompute_bound(scene, travel, Bound("ng-route-any-end", 0.0, dual)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("seed", range(5))
 def test_ng_routes_over_whole_neighbourhoods_price_elementary_routes_exactly(seed):
     """With at most eight tasks a neighbourhood holds them all, so that the value is that of elementary routes."""
     rng = np.random.default_rng(seed)
@@ -85,9 +104,9 @@ def test_cut_off_tasks_and_no_tasks(kind):
     scene, travel = random_instance(np.random.default_rng(1), drones=2, tasks=3, capacity=3)
     cut = dataclasses.replace(travel, start_task=np.full((2, 3), np.inf), task_task=np.full((1, 3, 3), np.inf))
     value = recompute_bound(scene, cut, Bound(kind, 0.0, np.zeros(KINDS[kind].length(scene))))
-    assert value == (0.0 if kind in ("ng-route", "optimum") else np.inf)
+    assert value == (np.inf if "forest" in kind else 0.0)
     empty, away = random_instance(np.random.default_rng(1), drones=2, tasks=0, capacity=1, ends=True)
-    idle = away.start_end.sum() if kind == "two-ended-forest" else 0.0
+    idle = away.start_end.sum() if KINDS[kind].is_signed else 0.0
     assert away.start_end.sum() > 1.0
     assert recompute_bound(empty, away, Bound(kind, 0.0, np.zeros(KINDS[kind].length(empty)))) == pytest.approx(idle)
 
