@@ -9,7 +9,6 @@ clause of the certificate fails.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -55,6 +54,9 @@ STEPS, TRIES = (1, 2), 4
 #: Shares of a time limit for the search that the head guides, and for the one that begins from nothing; the networks have
 #: the rest.
 GUIDED_SHARE, SEARCH_SHARE = 0.1, 0.8
+
+#: Backends whose networks have answered in this process: the first time takes longer.
+_ANSWERED: set[str | None] = set()
 
 #: Seconds that loading torch and the networks may take, and their answers, at first and for each drone and task.
 LOADING_S, ANSWERING_S, ANSWERING_S_A_PLACE = 6.0, 0.1, 2e-3
@@ -149,20 +151,21 @@ def hybrid(request: Request) -> Proposal:
     Where the time limit is too short for the networks, the classical proposal, and the plan says so.
     """
     classical = PLANNERS["classical"]
-    if request.time_limit_s is not None and request.time_limit_s < _networks_need_s(request.scene):
+    if request.time_limit_s is not None and request.time_limit_s < _networks_need_s(request.scene, request.backend):
         return replace(classical.propose(request), made_with={"networks": "none: the time limit is too short for them"})
     student = loaded_student(request.backend)
     bundles, drawing, timing = searched_plan(student.network, request)
     samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
+    _ANSWERED.add(request.backend)
     from learned.networks.weight_files import file_digest
 
     told = _told(student) | {"smoother_weights": load_once(file_digest, TIMED_WEIGHTS)}
     return Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights, made_with=told)
 
 
-def _networks_need_s(scene: Scene) -> float:
+def _networks_need_s(scene: Scene, backend: str | None) -> float:
     """Seconds in which the networks are loaded, if they are not yet, and have answered."""
-    loading_s = 0.0 if "torch" in sys.modules else LOADING_S
+    loading_s = 0.0 if backend in _ANSWERED else LOADING_S
     return loading_s + ANSWERING_S + ANSWERING_S_A_PLACE * (scene.num_drones + scene.num_tasks)
 
 
