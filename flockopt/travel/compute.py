@@ -41,6 +41,9 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
         routes: Where only the legs of these routes are wanted, one route of task indices a drone; what other distances
             there are is then left open.
         deadline: When to give up.
+
+    Raises:
+        OutOfTime: If the deadline passes.
     """
     if not scene.obstacles:
         return straight_travel(scene)
@@ -54,7 +57,9 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
     points = places(scene)
     gaps = distances(scene.obstacle_table, points)  # (P, K)
     wanted = None if routes is None else _pairs_on(scene, routes)
-    legs = [_fill_class(scene, travel, points, gaps, index, float(radius), wanted) for index, radius in enumerate(radii)]
+    legs = [
+        _fill_class(scene, travel, points, gaps, index, float(radius), wanted, deadline) for index, radius in enumerate(radii)
+    ]
     keys, offsets, bends = zip(*legs, strict=True)
     for array in (travel.start_task, travel.task_task, travel.task_end, travel.start_end):
         array.setflags(write=False)
@@ -96,6 +101,7 @@ def _fill_class(
     index: int,
     radius: float,
     only: NDArray[np.bool_] | None,
+    deadline: Deadline,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
     """Fill the distances of one class of drones; return its keys, offsets and bends for `Paths`.
 
@@ -113,7 +119,7 @@ def _fill_class(
     def legs_with(share: float, wanted: NDArray[np.bool_]) -> Legs:
         needs = roomy_needs(gaps[active], need, share)
         roadmap = Roadmap(scene.obstacle_table, needs, (scene.bounds.lower, scene.bounds.upper))
-        return roadmap.legs(points[active], wanted)
+        return roadmap.legs(points[active], wanted, deadline)
 
     wanted = np.zeros((len(active), len(active)), dtype=np.bool_)
     wanted[: len(tasks)] = True

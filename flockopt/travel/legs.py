@@ -8,11 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flockopt.batches.compiled import FLOATS_2, INTEGERS_2, compiled_for
+from flockopt.batches.deadline import Deadline
 from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.shortening import shorten
 
-__all__ = ["Drawn", "Legs", "draw", "join", "merge", "pack"]
+__all__ = ["DOING", "FIRST_PAIRS", "Drawn", "Legs", "draw", "join", "merge", "pack"]
+
+#: What it does, for those who give it a deadline; pairs of points before the clock is read first.
+DOING, FIRST_PAIRS = "finding ways among obstacles", 64
 
 #: A way through a third point replaces a leg if it is shorter by this share.
 LEAST_JOIN_GAIN = 1e-6
@@ -71,21 +75,25 @@ class Drawn:
         return rows[::-1] if backwards else rows
 
 
-def draw(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
+def draw(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray, deadline: Deadline) -> Drawn:
     """``drawn``, shortened; fills ``lengths`` (P, P)."""
     count, bends, along = drawn.count.copy(), drawn.bends.copy(), drawn.along.copy()
-    result = shorten(space, points, drawn.pairs, drawn.begin, count, bends, along)
+    result = np.empty(len(count))
+    for first, last in deadline.slices(len(count), DOING, FIRST_PAIRS):
+        pairs, begin, left = drawn.pairs[first:last], drawn.begin[first:last], count[first:last]
+        result[first:last] = shorten(space, points, pairs, begin, left, bends, along)
     first, second = drawn.pairs.T
     lengths[first, second] = lengths[second, first] = result
     return Drawn(drawn.pairs, drawn.begin, count, bends, along)
 
 
-def join(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
+def join(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray, deadline: Deadline) -> Drawn:
     """Replace each leg that is longer than the way through some third point by that way, shortened.
 
     Besides mending what sampled features missed, this brings distances nearer to the triangle inequality.
     """
-    through = _shorter_through(lengths, drawn.pairs)
+    slices = deadline.slices(len(drawn.pairs), DOING, FIRST_PAIRS)
+    through = np.concatenate([_shorter_through(lengths, drawn.pairs[first:last]) for first, last in slices])
     legs = np.flatnonzero(through >= 0)
     if not len(legs):
         return drawn
@@ -107,7 +115,7 @@ def join(space: FreeSpace, points: FloatArray, drawn: Drawn, lengths: FloatArray
         count.append(len(left) + 1 + len(right))
     sizes = np.array(count, dtype=np.int64)
     joined = Drawn(drawn.pairs[legs], np.cumsum(sizes) - sizes, sizes, np.concatenate(bends), np.concatenate(along))
-    return merge(drawn, draw(space, points, joined, lengths))
+    return merge(drawn, draw(space, points, joined, lengths, deadline))
 
 
 @compiled_for(FLOATS_2, INTEGERS_2, error_model="numpy")

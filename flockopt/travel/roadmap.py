@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import types
@@ -10,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
 from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for, writable
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, free_space
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.bends import FEATURES, Features, make_features, unrestricted
 from flockopt.travel.blocking import blocked_pairs
-from flockopt.travel.legs import Drawn, Legs, draw, join, merge, pack
+from flockopt.travel.legs import DOING, FIRST_PAIRS, Drawn, Legs, draw, join, merge, pack
 from flockopt.travel.path_search import shortest, within_ellipse
 from flockopt.travel.sight import SIGHT, Sight, View, empty_sight
 
@@ -42,24 +44,28 @@ class Roadmap:
         self._features: Features | None = None
         self._sight: Sight | None = None
 
-    def path(self, p: ArrayLike, q: ArrayLike) -> tuple[float, FloatArray]:
+    def path(self, p: ArrayLike, q: ArrayLike, deadline: Deadline = NEVER) -> tuple[float, FloatArray]:
         """Length, metres, and vertices (V, 3) of a shortest path; infinite and none where there is no way."""
         points = np.array([p, q], dtype=np.float64)
-        legs = self.legs(points, np.array([[False, True], [False, False]]))
+        legs = self.legs(points, np.array([[False, True], [False, False]]), deadline)
         length = float(legs.lengths[0, 1])
         if math.isinf(length):
             return length, np.empty((0, 3))
         return length, np.concatenate([points[:1], legs.bends, points[1:]])
 
-    def legs(self, points: FloatArray, wanted: NDArray[np.bool_]) -> Legs:
-        """Paths between all pairs i < j of ``points`` (P, 3) with ``wanted[i, j]`` (P, P)."""
+    def legs(self, points: FloatArray, wanted: NDArray[np.bool_], deadline: Deadline = NEVER) -> Legs:
+        """Paths between all pairs i < j of ``points`` (P, 3) with ``wanted[i, j]`` (P, P).
+
+        Raises:
+            OutOfTime: If the deadline passes.
+        """
         points = np.ascontiguousarray(points, dtype=np.float64)
         pairs = np.ascontiguousarray(np.argwhere(np.triu(wanted, 1)))
         first, second = pairs.T
         lengths = np.full((len(points), len(points)), np.inf)
         np.fill_diagonal(lengths, 0.0)
         lengths[first, second] = lengths[second, first] = np.linalg.norm(points[first] - points[second], axis=1)
-        pairs = pairs[blocked_pairs(self._space, points, pairs)]
+        pairs = pairs[_blocked(self._space, points, pairs, deadline)]
         first, second = pairs.T
         lengths[first, second] = lengths[second, first] = np.inf
         if not len(pairs):
@@ -67,20 +73,36 @@ class Roadmap:
         if self._features is None or self._sight is None:
             self._features = make_features(self._space)
             self._sight = empty_sight(len(self._features.position))
-        self._sight, drawn = self._search(self._features, self._sight, points, pairs, lengths)
-        drawn = join(self._space, points, drawn, lengths)
+        self._sight, drawn = self._search(self._features, self._sight, points, pairs, lengths, deadline)
+        drawn = join(self._space, points, drawn, lengths, deadline)
         if drawn.missing.any():
-            drawn = self._link(self._features, points, drawn, lengths)
+            drawn = self._link(self._features, points, drawn, lengths, deadline)
         return pack(drawn, lengths)
 
     def _search(
-        self, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64], lengths: FloatArray
+        self,
+        features: Features,
+        sight: Sight,
+        points: FloatArray,
+        pairs: NDArray[np.int64],
+        lengths: FloatArray,
+        deadline: Deadline,
     ) -> tuple[Sight, Drawn]:
-        sight, begin, count, chains = _chains(self._space, features, sight, points, pairs)
-        drawn = Drawn(pairs, begin, count, features.position[chains], features.along[chains])
-        return sight, draw(self._space, points, drawn, lengths)
+        """Polylines between pairs; those of one origin stand together, and are searched together."""
+        seen = np.zeros((len(points), len(features.position)), dtype=np.uint8)
+        firsts = np.flatnonzero(np.diff(pairs[:, 0], prepend=-1, append=-1))
+        parts, used = [], 0
+        for begin, end in deadline.slices(len(firsts) - 1, DOING):
+            group = pairs[firsts[begin] : firsts[end]]
+            *known, begins, counts, chains = _chains(self._space, features, points, seen, sight, group)
+            sight = Sight(*known)
+            parts.append((begins + used, counts, chains))
+            used += len(chains)
+        begins, counts, chains = (np.concatenate(part) for part in zip(*parts, strict=True))
+        drawn = Drawn(pairs, begins, counts, features.position[chains], features.along[chains])
+        return sight, draw(self._space, points, drawn, lengths, deadline)
 
-    def _link(self, features: Features, points: FloatArray, drawn: Drawn, lengths: FloatArray) -> Drawn:
+    def _link(self, features: Features, points: FloatArray, drawn: Drawn, lengths: FloatArray, deadline: Deadline) -> Drawn:
         """Search again, over all features and all bends, for a way between groups of points that have none yet.
 
         Each search starts in the group that sees least: where points are walled in, it ends soon.
@@ -99,14 +121,14 @@ class Roadmap:
             across = missing[inside[missing[:, 0]] != inside[missing[:, 1]]]
             across = np.where(inside[across[:, :1]], across, across[:, ::-1])
             across = across[np.argsort(across[:, 0], kind="stable")]
-            sight, extra = self._search(features, sight, points, across, lengths)
+            sight, extra = self._search(features, sight, points, across, lengths, deadline)
             if extra.missing.all():
                 closed.append(source)
                 continue
             drawn, num_missing = merge(drawn, extra), len(missing) + 1
             while int(drawn.missing.sum()) < num_missing:
                 num_missing = int(drawn.missing.sum())
-                drawn = join(self._space, points, drawn, lengths)
+                drawn = join(self._space, points, drawn, lengths, deadline)
 
     def _num_seen(self, features: Features, point: FloatArray) -> int:
         """How many features a point sees."""
@@ -115,24 +137,32 @@ class Roadmap:
         return len(others) - int(blocked_pairs(self._space, np.vstack([point, features.position]), pairs).sum())
 
 
-@compiled_for(FREE_SPACE, FEATURES, SIGHT, FLOATS_2, INTEGERS_2, error_model="numpy")
+def _blocked(space: FreeSpace, points: FloatArray, pairs: NDArray[np.int64], deadline: Deadline) -> NDArray[np.bool_]:
+    """`blocked_pairs`, some at a time."""
+    parts = [blocked_pairs(space, points, pairs[begin:end]) for begin, end in deadline.slices(len(pairs), DOING, FIRST_PAIRS)]
+    return np.concatenate([np.empty(0, dtype=np.bool_), *parts])
+
+
+@compiled_for(FREE_SPACE, FEATURES, FLOATS_2, types.Array(types.uint8, 2, "C"), SIGHT, INTEGERS_2, error_model="numpy")
 def _chains(
-    space: FreeSpace, features: Features, sight: Sight, points: FloatArray, pairs: NDArray[np.int64]
-) -> tuple[Sight, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    space: FreeSpace, features: Features, points: FloatArray, seen: NDArray[np.uint8], sight: Sight, pairs: NDArray[np.int64]
+) -> tuple[NDArray[Any], ...]:
     """The features that shortest paths between pairs bend around.
 
     Args:
         space: What segments are checked against.
         features: Where paths may bend.
-        sight: What is known of who sees whom; filled further.
         points: (P, 3) m.
+        seen: (P, F) what is known of who sees what, see `View`; filled further.
+        sight: What features see of each other; filled further.
         pairs: (L, 2) from, to; pairs of one origin stand together.
 
     Returns:
-        The sight; where each pair's chain begins, (L,); how long it is, (L,), -1 where none is found; the chains.
+        The sight's fields (not the sight itself: to make one, Python code would run, in which an interrupt may break); where
+        each pair's chain begins, (L,); how long it is, (L,), -1 where none is found; the chains.
     """
-    num_points, num_features, num_pairs = points.shape[0], features.position.shape[0], pairs.shape[0]
-    view = View(space, features, points, np.zeros((num_points, num_features), dtype=np.uint8))
+    view = View(space, features, points, seen)
+    num_features, num_pairs = features.position.shape[0], pairs.shape[0]
     parent, from_source = np.empty(num_features, dtype=np.int64), np.empty(num_features)
     begin, count = np.zeros(num_pairs, dtype=np.int64), np.full(num_pairs, -1, dtype=np.int64)
     chains, used = np.empty(4 * num_pairs + 16, dtype=np.int64), 0
@@ -169,7 +199,7 @@ def _chains(
                     chains, used = _trace(chains, used, parent, lasts[t])
                     count[left[t]] = used - begin[left[t]]
         first = stop
-    return sight, begin, count, chains[:used]
+    return sight.pool, sight.begin, sight.end, sight.used, begin, count, chains[:used].copy()
 
 
 @compiled_for(writable(INTEGERS_1), types.int64, INTEGERS_1, types.int64, error_model="numpy")

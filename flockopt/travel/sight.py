@@ -15,7 +15,7 @@ from flockopt.records.arrays import FloatArray
 from flockopt.travel.bends import FEATURES, Features
 from flockopt.travel.blocking import blocker
 
-__all__ = ["Sight", "View", "empty_sight", "look_around", "norm", "sees", "step", "tangent", "wraps"]
+__all__ = ["SIGHT", "Sight", "View", "empty_sight", "look_around", "norm", "sees", "step", "tangent", "wraps"]
 
 Step: TypeAlias = tuple[float, float, float]
 

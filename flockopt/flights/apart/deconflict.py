@@ -72,7 +72,7 @@ def deconflict(
     fleet = TimedFleet(scene, flights, deadline)
     if not fleet.meeting():
         return Deconflicted(flights, ())
-    detours = Detours(scene, bundles, compute_travel(scene) if travel is None else travel, airborne)
+    detours = Detours(scene, bundles, compute_travel(scene) if travel is None else travel, airborne, deadline)
     for _ in range(4 * scene.num_drones + 8):
         stuck = fleet.find_timing()
         if stuck is None:

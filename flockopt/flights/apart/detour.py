@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.bundles import Bundles
 from flockopt.flights import Flight
 from flockopt.flights.decode import fly
@@ -38,10 +39,13 @@ class Detours:
         bundles: The drones' routes.
         travel: The paths behind them.
         airborne: Ids of drones that may make way although they have no capacity.
+        deadline: When to give up.
     """
 
-    def __init__(self, scene: Scene, bundles: Bundles, travel: Travel, airborne: Collection[str] = ()) -> None:
-        self.scene, self.bundles, self.travel, self.airborne = scene, bundles, travel, airborne
+    def __init__(
+        self, scene: Scene, bundles: Bundles, travel: Travel, airborne: Collection[str] = (), deadline: Deadline = NEVER
+    ) -> None:
+        self.scene, self.bundles, self.travel, self.airborne, self.deadline = scene, bundles, travel, airborne, deadline
         self.reserve_m = min(DETOUR_RESERVE_M, DETOUR_RESERVE_SHARE * float(scene.widest_axes[0]))
         self.avoided: dict[int, list[tuple[int, FloatArray]]] = {}  # by drone: whom, and where
         self.spots: dict[int, FloatArray] = {}
@@ -149,7 +153,7 @@ class Detours:
             return None
         if len(balls):
             roadmap = self._roadmap(drone, balls)
-            legs = [roadmap.path(leg[0], leg[-1])[1] for leg in legs]
+            legs = [roadmap.path(leg[0], leg[-1], self.deadline)[1] for leg in legs]
             if any(len(leg) == 0 for leg in legs):
                 return None
         return Waypoints.join(self.scene, route, legs)
