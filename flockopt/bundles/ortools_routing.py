@@ -30,6 +30,9 @@ UNITS_PER_METRE = 10_000
 #: Where there is no way, and what leaving a task out costs: more than any route, less than a leg without a way.
 NO_WAY, LEFT_OUT = 10**13, 10**11
 
+#: Milliseconds of search at least: less may end without any solution.
+LEAST_MS = 100
+
 #: Seconds of search where neither a time nor a number of solutions is given.
 DEFAULT_SECONDS = 1.0
 
@@ -89,7 +92,7 @@ def route_with_ortools(
     if solutions is not None:
         settings.solution_limit = max(solutions, 1)
     if not deadline.is_never:
-        settings.time_limit.FromMilliseconds(max(int(1e3 * deadline.left_s), 1))
+        settings.time_limit.FromMilliseconds(max(int(1e3 * deadline.left_s), LEAST_MS))
     return _solve(model, manager, settings, warm_start, num_tasks)
 
 

@@ -55,6 +55,12 @@ STEPS, TRIES = (1, 2), 4
 #: the rest.
 GUIDED_SHARE, SEARCH_SHARE = 0.1, 0.8
 
+#: Backends whose networks have answered in this process: the first time takes longer.
+_ANSWERED: set[str | None] = set()
+
+#: Seconds that loading torch and the networks may take, and their answers, at first and for each drone and task.
+LOADING_S, ANSWERING_S, ANSWERING_S_A_PLACE = 6.0, 0.1, 2e-3
+
 #: A drawn flight must end sooner than the one along the shortest path by this, seconds.
 LEAST_GAIN_S = 1e-3
 
@@ -140,15 +146,27 @@ def drawn_plans(student: Network, requests: Sequence[Request]) -> list[DrawnPlan
 
 
 def hybrid(request: Request) -> Proposal:
-    """The better of two searches, one of them guided by the network, and the networks' flights; else the classical plan."""
+    """The better of two searches, one of them guided by the network, and the networks' flights; else the classical plan.
+
+    Where the time limit is too short for the networks, the classical proposal, and the plan says so.
+    """
+    classical = PLANNERS["classical"]
+    if request.time_limit_s is not None and request.time_limit_s < _networks_need_s(request.scene, request.backend):
+        return replace(classical.propose(request), made_with={"networks": "none: the time limit is too short for them"})
     student = loaded_student(request.backend)
     bundles, drawing, timing = searched_plan(student.network, request)
     samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
+    _ANSWERED.add(request.backend)
     from learned.networks.weight_files import file_digest
 
     told = _told(student) | {"smoother_weights": load_once(file_digest, TIMED_WEIGHTS)}
-    classical = PLANNERS["classical"]
     return Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights, made_with=told)
+
+
+def _networks_need_s(scene: Scene, backend: str | None) -> float:
+    """Seconds in which the networks are loaded, if they are not yet, and have answered."""
+    loading_s = 0.0 if backend in _ANSWERED else LOADING_S
+    return loading_s + ANSWERING_S + ANSWERING_S_A_PLACE * (scene.num_drones + scene.num_tasks)
 
 
 def _is_ready() -> bool:
@@ -171,10 +189,24 @@ def searched_plan(student: Network, request: Request) -> DrawnPlan:
     found = [_searched(request, None, SEARCH_SHARE)]
     if preferences is not None:
         found.append(_searched(request, preferences, GUIDED_SHARE))
-    best = min(found, key=lambda bundles: (len(bundles.unserved), request.travel.total(bundles.routes)))
+    best = _better(request, *found)
     searched = perf_counter()
     (drawing,) = _drawings(student, [request], [best], tokens)
     return best, drawing, {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
+
+
+def _better(request: Request, plain: Bundles, guided: Bundles | None = None) -> Bundles:
+    """The guided bundles where they travel less and the fleet is done no later along its paths; else the plain ones."""
+    if guided is None or guided.unserved or plain.unserved:
+        return plain if guided is None or len(plain.unserved) <= len(guided.unserved) else guided
+    scene, travel = request.scene, request.travel
+    if travel.total(guided.routes) >= travel.total(plain.routes):
+        return plain
+    done_s = [
+        max((flight.curve.end_time for flight in decode(scene, bundles, travel=travel).values()), default=0.0)
+        for bundles in (plain, guided)
+    ]
+    return guided if done_s[1] <= done_s[0] else plain
 
 
 def _searched(request: Request, probabilities: FloatArray | None, share: float) -> Bundles:

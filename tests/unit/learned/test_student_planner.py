@@ -57,12 +57,13 @@ def test_hybrid_is_never_worse_than_classical(seed):
 
 
 def test_the_hybrid_keeps_to_a_time_limit(forest, monkeypatch):
+    plan(forest, planner=HYBRID)  # so that the networks are loaded
     limits, search = [], planner.refine_bundles
     monkeypatch.setattr(planner, "refine_bundles", lambda *a, **k: limits.append(k["time_limit_s"]) or search(*a, **k))
-    result = plan(forest, planner=HYBRID, time_limit_s=0.4)
+    result = plan(forest, planner=HYBRID, time_limit_s=3.0)
     assert result.status == "certified"
     assert result.cost.travel <= plan(forest, planner="classical").cost.travel + 1e-9
-    assert len(limits) == 2 and min(limits) > 0.0 and limits[0] > 4.0 * limits[1] and sum(limits) < 0.4
+    assert len(limits) == 2 and min(limits) > 0.0 and limits[0] > 4.0 * limits[1] and sum(limits) < 3.0
 
 
 @pytest.mark.parametrize("family", ["forest", "rooms"])
@@ -239,3 +240,12 @@ def test_missing_torch_is_named(tmp_path, monkeypatch):
 def test_registering_the_planners_loads_no_torch():
     code = "import learned.student.planner, sys; print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"
+
+
+def test_a_time_limit_too_short_for_the_networks_is_kept_without_them():
+    scene = generate("forest", drones=4, tasks=9, seed=2)
+    made = plan(scene, planner="hybrid", time_limit_s=0.1)
+    assert made.status == "certified"
+    assert made.settings["networks"] == "none: the time limit is too short for them"
+    plan(scene, planner="hybrid")
+    assert "networks" not in plan(scene, planner="hybrid", time_limit_s=3.0).settings

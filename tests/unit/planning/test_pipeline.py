@@ -51,6 +51,15 @@ def test_the_hybrid_plans_where_nobody_is_named_and_it_is_ready(scene, monkeypat
     assert default_planner().name == "classical"
 
 
+def test_the_hybrid_is_done_no_later_than_the_classical_planner():
+    pytest.importorskip("torch", reason="torch comes with the extra 'learned'")
+    scene = generate("city", drones=4, tasks=40, seed=2)  # shorter guided bundles would be done 1.4 s later
+    hybrid, classical = plan(scene, planner="hybrid"), plan(scene, planner="classical")
+    assert hybrid.status == classical.status == "certified"
+    assert hybrid.cost.travel <= classical.cost.travel + 1e-9
+    assert hybrid.cost.makespan <= classical.cost.makespan + 1e-9
+
+
 def test_a_time_limit_that_is_used_up_still_ends_in_a_plan(scene):
     assert plan(scene, time_limit_s=1e-6).status == "certified"
 
