@@ -100,5 +100,9 @@ def smooth_flights(scene: Scene, flights: dict[str, Flight]) -> dict[str, Flight
         SettingsError: If the shipped weights are missing or damaged.
         MissingExtra: If torch or safetensors is not installed.
     """
-    reports = fly_proposals(scene, flights, NetworkProposer(shipped_timed()))
+    network = shipped_timed()
+    from learned.networks.threads import threads_for
+
+    with threads_for(len(flights) + sum(len(flight.visits) for flight in flights.values())):
+        reports = fly_proposals(scene, flights, NetworkProposer(network))
     return {name: each.flight for name, each in reports.items()}

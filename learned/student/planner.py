@@ -10,6 +10,7 @@ clause of the certificate fails.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -129,7 +130,8 @@ def drawn_plans(student: Network, requests: Sequence[Request]) -> list[DrawnPlan
     if not requests:
         return []
     began = perf_counter()
-    probabilities, tokens = _decisions(student, [request.scene for request in requests])
+    with _threads(requests):
+        probabilities, tokens = _decisions(student, [request.scene for request in requests])
     headed = perf_counter()
     found = [
         refine_bundles(
@@ -139,7 +141,8 @@ def drawn_plans(student: Network, requests: Sequence[Request]) -> list[DrawnPlan
         for request, preferences in zip(requests, probabilities, strict=True)
     ]  # fmt: skip
     refined = perf_counter()
-    drawings = _drawings(student, requests, found, tokens)
+    with _threads(requests):
+        drawings = _drawings(student, requests, found, tokens)
     seconds = {"head": headed - began, "refine": refined - headed, "generate": perf_counter() - refined}
     timing = {stage: total / len(requests) for stage, total in seconds.items()}
     return [(bundles, drawing, dict(timing)) for bundles, drawing in zip(found, drawings, strict=True)]
@@ -184,14 +187,16 @@ HYBRID = Planner(hybrid, is_ready=_is_ready, takes_backend=True, rank=20)
 def searched_plan(student: Network, request: Request) -> DrawnPlan:
     """The better bundles of two searches, what the denoiser draws for them if it can, and seconds by stage."""
     began = perf_counter()
-    (preferences,), tokens = _decisions(student, [request.scene])
+    with _threads([request]):
+        (preferences,), tokens = _decisions(student, [request.scene])
     headed = perf_counter()
     found = [_searched(request, None, SEARCH_SHARE)]
     if preferences is not None:
         found.append(_searched(request, preferences, GUIDED_SHARE))
     best = _better(request, *found)
     searched = perf_counter()
-    (drawing,) = _drawings(student, [request], [best], tokens)
+    with _threads([request]):
+        (drawing,) = _drawings(student, [request], [best], tokens)
     return best, drawing, {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
 
 
@@ -232,6 +237,12 @@ def _sooner(request: Request, bundles: Bundles, samples: FloatArray) -> FloatArr
         return None
     padded = [np.concatenate([path, np.repeat(path[-1:], num_samples - len(path), axis=0)]) for path in paths]
     return np.where(np.array(is_sooner)[:, None, None], samples, np.stack(padded))
+
+
+def _threads(requests: Sequence[Request]) -> AbstractContextManager[None]:
+    from learned.networks.threads import threads_for
+
+    return threads_for(sum(request.scene.num_drones + request.scene.num_tasks for request in requests))
 
 
 def _decisions(student: Network, scenes: Sequence[Scene]) -> tuple[list[FloatArray | None], AgentTokens | None]:
