@@ -33,7 +33,7 @@ EITHER = ("mapft-tunnel", "maxdist-moveon")
 
 
 #: Gaps shown where drones return or carry little, at most: the plans are optimal, or nearly so.
-GAPS = {"cvrp-P-n16-k8": 0.04, "one-drone-end-start": 1e-6}
+GAPS = {"cvrp-P-n16-k8": 0.05, "one-drone-end-start": 1e-6}
 
 
 def test_every_case_has_its_answer():

@@ -1,10 +1,10 @@
 """Lower bounds on the fleet's travel, each with the vector that proves it.
 
 ``fast`` is a spanning forest with legs to the ends, ``tight`` the same under Held-Karp prices and, where that takes next to
-no time, the Lagrangian of all ng-routes; ``exact`` is the latter whatever it takes, the bound that a proof of optimality starts
-from. A bound holds for every allocation that
-serves all tasks within the capacities, so it is claimed of feasible scenes; where a relaxation by itself shows that
-there is no such allocation (tasks cut off from every start), its value is infinite, the least cost over nothing.
+no time, the Lagrangian of all ng-routes, or of ng-routes whose drones pay for any end; ``exact`` is the latter whatever they
+take, the bound that a proof of optimality starts from. A bound holds for every allocation that serves all tasks within the
+capacities, so it is claimed of feasible scenes; where a relaxation by itself shows that there is no such allocation (tasks cut
+off from every start), its value is infinite, the least cost over nothing.
 The value is what whoever recomputes it from the vector finds; at a deadline it is the best one proven by then.
 """
 
@@ -49,14 +49,14 @@ NG_ROUNDS = 80
 
 #: What the ng-routes of the bound ``tight`` may cost in all, at first and for each task, in units of about 10 ns; what a
 #: group of drones costs, whatever its routes. Less than a few rounds are not worth their time.
-TIGHT_COST, TIGHT_COST_A_TASK, GROUP_COST, LEAST_NG_ROUNDS = 600_000, 5_000, 1_500, 4
+TIGHT_COST, TIGHT_COST_A_TASK, GROUP_COST, LEAST_NG_ROUNDS = 500_000, 5_000, 1_500, 4
 
 #: What of it routes with any end may cost, as many as there are without ends: before routes with ends of their own, and where
 #: those are too many.
-ANY_END_SHARE, ANY_END_ALONE = 0.4, 1.5
+ANY_END_SHARE, ANY_END_ALONE = 0.1, 1.5
 
-#: What a step between two tasks costs at least; more, with the cube of how many tasks on a route are remembered.
-STEP_COST, MEMORY_COST = 1.5, 0.1
+#: What a step between two tasks costs at least; more, with the fourth power of how many tasks on a route are remembered.
+STEP_COST, MEMORY_COST = 1.5, 0.04
 
 #: Gaps with which the bound ``tight`` is content in its first round and in its last one; with none at first where there are
 #: so few tasks that it costs next to nothing to go on.
@@ -231,7 +231,7 @@ def _affordable_rounds(scene: Scene, travel: Travel, share: float) -> int:
     for drones in drones_that_share(travel):
         most = int(capacities[drones].max())
         remembered = float((lightest <= most).sum()) * min(1.0, NEIGHBOURS / scene.num_tasks)
-        cost += GROUP_COST + (STEP_COST + MEMORY_COST * remembered**3) * count_pairs(demands, most)
+        cost += GROUP_COST + (STEP_COST + MEMORY_COST * remembered**4) * count_pairs(demands, most)
     if carries_one_at_most(scene):
         cost /= NG_ROUNDS  # one round is enough
     rounds = int(share * (TIGHT_COST + TIGHT_COST_A_TASK * scene.num_tasks) / cost)
