@@ -13,6 +13,8 @@ from typing import Any
 from numba import config, njit, types
 from numba.core.compiler_lock import global_compiler_lock
 
+from flockopt.batches.kept import KeptCode
+
 __all__ = [
     "ENTRIES",
     "FLAGS_1",
@@ -24,6 +26,7 @@ __all__ = [
     "INTEGERS_1",
     "INTEGERS_2",
     "compiled_for",
+    "compiled_lazily",
     "record_of",
     "writable",
 ]  # fmt: skip
@@ -50,6 +53,22 @@ def record_of(kind: type, *fields: object) -> types.NamedTuple:
     return types.NamedTuple([writable(field) if isinstance(field, types.Array) else field for field in fields], kind)
 
 
+def compiled_lazily(**options: object) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator: `numba.njit` for whatever arguments a function is called with, mostly by compiled ones; kept on disk.
+
+    Args:
+        options: As of `numba.njit`.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(**options)(function)
+        if not config.DISABLE_JIT:
+            dispatcher._cache = KeptCode(dispatcher)
+        return dispatcher
+
+    return decorate
+
+
 def compiled_for(*arguments: object, **options: object) -> Callable[[Callable[..., Any]], Any]:
     """A decorator: `numba.njit` for arguments of these types, to which what it is called with is converted; kept on disk.
 
@@ -59,9 +78,10 @@ def compiled_for(*arguments: object, **options: object) -> Callable[[Callable[..
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(cache=True, no_cfunc_wrapper=True, **options)(function)
+        dispatcher = compiled_lazily(no_cfunc_wrapper=True, **options)(function)
         if config.DISABLE_JIT:
             return dispatcher
+        dispatcher.arguments = arguments
         compile_any = dispatcher.compile
         entry_points: list[Any] = []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
@@ -21,6 +22,17 @@ REDRAW_S = 0.1
 SHARE_A_LINE = 0.1
 
 
+def _say(words: str, end: str = "\n") -> None:
+    """Words for stderr; where that is closed or full, nobody is told, and the work goes on."""
+    with suppress(OSError, ValueError):
+        if sys.stderr is not None:
+            print(words, end=end, file=sys.stderr, flush=True)
+
+
+def _is_terminal() -> bool:
+    return sys.stderr is not None and not sys.stderr.closed and sys.stderr.isatty()
+
+
 class ProgressBar:
     """Counts what is done.
 
@@ -31,7 +43,7 @@ class ProgressBar:
 
     def __init__(self, total: int, done: int = 0) -> None:
         self._total, self._done, self._before = total, done, done
-        self._begun, self._live = time.monotonic(), sys.stderr.isatty()
+        self._begun, self._live = time.monotonic(), _is_terminal()
         self._told = done
         self._draw("")
 
@@ -42,21 +54,21 @@ class ProgressBar:
 
     def note(self, words: str) -> None:
         """A line of its own."""
-        print(f"{self._fresh()}{words}", file=sys.stderr, flush=True)
+        _say(f"{self._fresh()}{words}")
 
     def close(self) -> None:
         """End the line."""
         if self._live:
-            print(file=sys.stderr, flush=True)
+            _say("")
 
     def _draw(self, words: str) -> None:
         share = self._done / self._total if self._total else 1.0
         bar = ("#" * round(WIDTH * share)).ljust(WIDTH, ".")
         text = f"[{bar}] {self._done}/{self._total} {self._left()} {words}".rstrip()
         if self._live:
-            print(f"{self._fresh()}{text}", end="", file=sys.stderr, flush=True)
+            _say(f"{self._fresh()}{text}", end="")
         elif self._done - self._told >= SHARE_A_LINE * self._total or self._done == self._total:
-            print(text, file=sys.stderr, flush=True)
+            _say(text)
             self._told = self._done
 
     def _left(self) -> str:
@@ -77,7 +89,7 @@ class StageLine:
     """
 
     def __init__(self, *, quiet: bool = False) -> None:
-        self._quiet, self._live = quiet, sys.stderr.isatty()
+        self._quiet, self._live = quiet, _is_terminal()
         self._begun = time.monotonic()
         self._drawn_at, self._width, self._stage, self._told = 0.0, 0, "", 0.0
 
@@ -91,7 +103,7 @@ class StageLine:
             self._redraw(f"{stage} {fraction:.0%}, {elapsed:.1f} s")
             self._drawn_at = now
         elif not self._live and stage != self._stage:
-            print(f"{stage}, {elapsed:.1f} s", file=sys.stderr, flush=True)
+            _say(f"{stage}, {elapsed:.1f} s")
         self._stage = stage
 
     def tell(self, words: str, fraction: float) -> None:
@@ -104,7 +116,7 @@ class StageLine:
             self._redraw(f"{words}, {elapsed:.1f} s")
             self._drawn_at = now
         elif not self._live and fraction - self._told >= SHARE_A_LINE:
-            print(f"{words}, {elapsed:.1f} s", file=sys.stderr, flush=True)
+            _say(f"{words}, {elapsed:.1f} s")
             self._told = fraction
 
     def __enter__(self) -> Self:
@@ -113,8 +125,8 @@ class StageLine:
     def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None) -> None:
         if self._width:
             self._redraw("")
-            print("\r", end="", file=sys.stderr, flush=True)
+            _say("\r", end="")
 
     def _redraw(self, line: str) -> None:
-        print(f"\r{line:<{self._width}}", end="", file=sys.stderr, flush=True)
+        _say(f"\r{line:<{self._width}}", end="")
         self._width = len(line)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import json
 import os
 import signal
 import sys
@@ -11,11 +12,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from flockopt.batches.progress import StageLine
 from flockopt.cli import text
-from flockopt.errors import MissingExtra, PlanError, SceneError, SettingsError
+from flockopt.errors import FieldError, MissingExtra, PlanError, SceneError, SettingsError
 from flockopt.planning.entries import EVERYTHING, JUDGING, PLANNING, entries_of
 from flockopt.records import files
 from flockopt.records.status import Status
@@ -23,6 +24,9 @@ from flockopt.scene import Scene
 
 if TYPE_CHECKING:
     from flockopt.certificate import Plan
+
+#: Stands for stdin where a file is read, and for stdout where one is written.
+STANDARD = "-"
 
 __all__ = ["compile_all", "export", "generate", "plan", "show", "verify"]
 
@@ -48,12 +52,12 @@ def plan(options: argparse.Namespace) -> int:
     )  # fmt: skip
     with StageLine(quiet=options.quiet) as progress, _compiling(progress, PLANNING):
         result = plan_scene(scene, settings, progress=progress)
-        result.save(options.output)
+        _write(options.output, result)
         for path in options.show:
             progress(f"drawing {path}", 0.0)
             _draw(scene, path, result)
     if not options.quiet:
-        text.emit(text.plan_report(scene, result))
+        text.emit(text.plan_report(scene, result), aside=options.output == STANDARD)
     return 0 if result.status == Status.CERTIFIED else 1
 
 
@@ -92,6 +96,7 @@ def _compiling(progress: StageLine, packages: Sequence[str]) -> Iterator[None]:
 
 def verify(options: argparse.Namespace) -> int:
     """Check a plan against its scene: 0 when every clause holds, 1 when not."""
+    _check_inputs(options.scene, options.plan)
     scene, result = _load_scene(options.scene), _load_plan(options.plan)
     from flockopt.certificate.judge import certify
 
@@ -103,6 +108,7 @@ def verify(options: argparse.Namespace) -> int:
 
 def show(options: argparse.Namespace) -> int:
     """Draw a scene, or a plan in its scene."""
+    _check_inputs(options.scene, options.plan)
     scene = _load_scene(options.scene)
     result = None if options.plan is None else _load_plan(options.plan)
     if result is not None and result.scene_sha256 != scene.sha256:
@@ -121,12 +127,13 @@ def generate(options: argparse.Namespace) -> int:
 
     _check_outputs([("--output", options.output)], [])
     scene = generate_scene(options.family, drones=options.drones, tasks=options.tasks, seed=options.seed)
-    scene.save(options.output)
+    _write(options.output, scene)
     return 0
 
 
 def export(options: argparse.Namespace) -> int:
     """Write a plan for real drones: 0 when written, 1 when it does not fit them."""
+    _check_inputs(options.scene, options.plan)
     result = _load_plan(options.plan)
     scene = None if options.scene is None else _load_scene(options.scene)
     from flockopt.outputs.devices.export import export as export_plan
@@ -144,9 +151,26 @@ def export(options: argparse.Namespace) -> int:
     return 1 if outcome.misfits else 0
 
 
+def _write(path: str, document: Scene | Plan) -> None:
+    """Write a scene or a plan to a file, or to stdout."""
+    if path == STANDARD:
+        print(json.dumps(document.to_dict(), allow_nan=False), flush=True)
+    else:
+        document.save(path)
+
+
+def _standard_input(error: type[FieldError]) -> Any:
+    """The JSON document on stdin."""
+    try:
+        content = sys.stdin.buffer.read().decode("utf-8")
+    except UnicodeDecodeError as fault:
+        raise error("", f"stdin is not UTF-8 text ({fault.reason})", "it must be UTF-8", "save it as UTF-8") from None
+    return files.parse_json(error, content, "stdin")
+
+
 def _load_scene(path: str) -> Scene:
     try:
-        return Scene.load(path)
+        return Scene.from_dict(_standard_input(SceneError)) if path == STANDARD else Scene.load(path)
     except SceneError as fault:
         raise _in_file(fault, path) from None
 
@@ -155,7 +179,7 @@ def _load_plan(path: str) -> Plan:
     from flockopt.certificate import Plan
 
     try:
-        return Plan.load(path)
+        return Plan.from_dict(_standard_input(PlanError)) if path == STANDARD else Plan.load(path)
     except PlanError as fault:
         raise _in_file(fault, path) from None
 
@@ -167,10 +191,17 @@ def _in_file(fault: SceneError | PlanError, path: str) -> SceneError | PlanError
     return type(fault)(f"{path}: {fault.field}" if fault.field else path, fault.value, fault.rule, fault.mend)
 
 
+def _check_inputs(scene: str | None, plan: str | None) -> None:
+    if scene == plan == STANDARD:
+        raise SettingsError("SCENE", "is - and so is PLAN", "only one of them can be read from stdin", "name a file")
+
+
 def _check_outputs(outputs: Sequence[tuple[str, str]], inputs: Sequence[str]) -> None:
     """Every output can be written, and none is an input or another output."""
-    taken = {os.path.realpath(path): path for path in inputs}
+    taken = {os.path.realpath(path): path for path in inputs if path != STANDARD}
     for option, path in outputs:
+        if path == STANDARD and option == "--output":
+            continue
         try:
             target = str(files.check_output(SettingsError, path))
         except SettingsError as fault:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import io
-import os
 import re
-import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from flockopt.batches.deadline import is_still_at_work
-from flockopt.cli.status import INTERRUPTED, refuse, run_command
+from flockopt.cli.status import run_command
 from flockopt.errors import SettingsError
 
 __all__ = ["main"]
 
 STATUSES = """exit status: 0 all is well; 1 the plan is not certified, the scene is infeasible, or the plan does not fit the
-device (the output says why); 2 bad input (one line on stderr says what and how to mend it; nothing is written)"""
+device (the output says why); 2 bad input (one line on stderr says what and how to mend it; nothing is written); 3 the machine
+or the program fails (one line says how); 130 interrupted from the keyboard"""
 
 PLAN_EXAMPLES = """examples:
   flockopt plan scene.json -o plan.json
@@ -45,10 +42,10 @@ EXPORT_EXAMPLES = """examples:
   flockopt export plan.json --to crazyswarm2 -o fleet                          a CSV a drone, crazyflies.yaml
   flockopt export plan.json --to qgroundcontrol --scene scene.json -o fleet    a mission a drone"""
 
-COMPILE_EXAMPLES = """flockopt compiles its inner loops for the machine it runs on and keeps them where numba keeps such things:
-in NUMBA_CACHE_DIR, else beside the package, else in your cache directory. The first plan does so too, as far as it needs them;
-this does it beforehand, say while an image is built, by as many processes as there are cores. Where all is compiled, it ends
-within seconds.
+COMPILE_EXAMPLES = """flockopt compiles its inner loops for the machine it runs on and keeps them in NUMBA_CACHE_DIR, else in
+your cache directory, else in a temporary one; where nothing can be written, each process compiles for itself. The first plan
+does so too, as far as it needs them; this does it beforehand, say while an image is built, by as many processes as there
+are cores. Where all is compiled, it ends within seconds.
 
 examples:
   flockopt compile
@@ -71,18 +68,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: The arguments after the program's name; the process's own by default.
 
     Returns:
-        The exit status: 0, 1 or 2 as in docs/formats.md, 130 when interrupted.
+        The exit status: 0, 1, 2, 3 or 130, as in docs/formats.md.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    try:
-        return run_command("flockopt", lambda: _run(argv))
-    except KeyboardInterrupt:
-        status = refuse("flockopt", "interrupted; no output was written after this point", INTERRUPTED)
-        if is_still_at_work():
-            os._exit(status)  # a solver in a thread would keep the process, or crash it
-        return status
+    return run_command("flockopt", lambda: _run(argv))
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -102,16 +90,16 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_plan(commands)
     verify = _command(commands, "verify", "check a plan anew, clause by clause", VERIFY_EXAMPLES, work.verify)
-    verify.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
-    verify.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file")
+    verify.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file, or - for stdin")
+    verify.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file, or - for stdin")
     verify.add_argument(
         "--engine", default="closed-form", metavar="NAME", choices=("closed-form", "fcl"),
         help="what measures clearance and separation: closed-form or fcl (default: closed-form)",
     )  # fmt: skip
 
     show = _command(commands, "show", "draw a scene or a plan", SHOW_EXAMPLES, work.show)
-    show.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
-    show.add_argument("plan", metavar="PLAN", nargs="?", help="a flockopt.plan/1 file")
+    show.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file, or - for stdin")
+    show.add_argument("plan", metavar="PLAN", nargs="?", help="a flockopt.plan/1 file, or - for stdin")
     show.add_argument("-o", "--output", required=True, metavar="FILE", help="a .png picture or an .html page")
 
     generate = _command(commands, "generate", "make a scene from a family", GENERATE_EXAMPLES, work.generate)
@@ -119,10 +107,10 @@ def _parser() -> argparse.ArgumentParser:
     generate.add_argument("--drones", type=_whole(1), default=10, metavar="N", help="how many (default: 10)")
     generate.add_argument("--tasks", type=_whole(0), default=20, metavar="M", help="how many (default: 20)")
     generate.add_argument("--seed", type=_whole(0), default=0, metavar="K", help="same seed, same scene (default: 0)")
-    generate.add_argument("-o", "--output", required=True, metavar="SCENE", help="where to write the scene")
+    generate.add_argument("-o", "--output", required=True, metavar="SCENE", help="where to write the scene, or - for stdout")
 
     export = _command(commands, "export", "write a plan for real drones", EXPORT_EXAMPLES, work.export)
-    export.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file")
+    export.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file, or - for stdin")
     export.add_argument(
         "--to", required=True, metavar="DEVICE", choices=("crazyswarm2", "qgroundcontrol"),
         help="for which device: crazyswarm2 or qgroundcontrol",
@@ -142,8 +130,8 @@ def _add_plan(commands: argparse._SubParsersAction) -> None:
     from flockopt.cli import commands as work
 
     plan = _command(commands, "plan", "plan a scene: routes, trajectories, certificate", PLAN_EXAMPLES, work.plan)
-    plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file")
-    plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan")
+    plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file, or - for stdin")
+    plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan, or - for stdout")
     plan.add_argument(
         "--planner", metavar="NAME",
         help="who proposes: classical (search), exact (the optimum, proven), ortools, or one that an installed package adds, "

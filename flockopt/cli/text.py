@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from flockopt.records.status import Status
@@ -15,16 +17,23 @@ if TYPE_CHECKING:
     from flockopt.outputs.devices.export import Export
     from flockopt.scene import Scene
 
-__all__ = ["certificate_report", "emit", "export_report", "plan_report", "printable"]
+__all__ = ["certificate_report", "emit", "export_report", "let_go", "plan_report", "printable"]
 
 
-def emit(text: str) -> None:
-    """Print to stdout; a reader who has left (``| head``) is no error."""
+def emit(text: str, *, aside: bool = False) -> None:
+    """Print to stdout; ``aside``, to stderr, where stdout holds a file. A reader who has left (``| head``) is no error."""
+    stream = sys.stderr if aside else sys.stdout
     try:
-        print(text, flush=True)
+        print(text, file=stream, flush=True)
     except BrokenPipeError:
-        # Python flushes stdout once more when it exits, and must find somewhere to put it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        let_go(stream)
+
+
+def let_go(stream: object) -> None:
+    """Have a stream swallow what is left in it: Python flushes it once more when it exits, and would fail again."""
+    if isinstance(stream, io.TextIOWrapper):
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def printable(text: str) -> str:

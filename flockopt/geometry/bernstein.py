@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for, writable
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for, compiled_lazily, writable
 from flockopt.records.arrays import FloatArray
 
 __all__ = [
@@ -123,7 +123,7 @@ def copy_piece(source: FloatArray, target: FloatArray) -> None:
             target[row, i] = source[row, i]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def halve(control: FloatArray, left: FloatArray, right: FloatArray) -> None:
     """De Casteljau's split at the middle: fills ``left`` and ``right``, each (rows, D) like ``control``."""
     num_rows, num_terms = control.shape

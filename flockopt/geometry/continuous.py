@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_3, compiled_for
+from flockopt.batches.compiled import FLOATS_1, FLOATS_3, compiled_for, compiled_lazily
 from flockopt.geometry.bernstein import BINOMIAL, SMALL_SQUARE, control_points, copy_piece, largest_value, squared_norm
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.intervals import (
@@ -42,7 +42,7 @@ def parked(position: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.array([0.0, 1.0]), np.array(position, dtype=np.float64).reshape(1, 3, 1)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _nearest_breakpoint(space: FreeSpace, breakpoints: FloatArray, control: FloatArray) -> tuple[float, float, int]:
     """The least margin at the pieces' ends, a good first guess of the least of all: margin, time, obstacle."""
     best, time, nearest = np.inf, breakpoints[0], -1
@@ -138,7 +138,7 @@ def _timed(
     return times, control
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _hulls(control: FloatArray) -> FloatArray:
     """Bounding boxes (K + 1, 2, 3) of every piece's control points (K, 3, D), and last the one of all of them."""
     num_pieces = control.shape[0]
@@ -152,7 +152,7 @@ def _hulls(control: FloatArray) -> FloatArray:
     return boxes
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _restrict(piece: FloatArray, start: float, end: float, result: FloatArray) -> None:
     """Fill ``result`` with the control points (3, D) of the part of a piece between two fractions of it."""
     num_terms = piece.shape[1]
@@ -172,7 +172,7 @@ def _restrict(piece: FloatArray, start: float, end: float, result: FloatArray) -
                     points[i] += along * (points[i + 1] - points[i])
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _part(times: FloatArray, control: FloatArray, k: int, start: float, end: float, result: FloatArray) -> None:
     """Fill ``result`` with piece ``k`` of a timed curve between two times within it."""
     if k == 0 or k == control.shape[0] - 1:
@@ -209,7 +209,7 @@ def farthest_from(
         now = until
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _subtract(other: FloatArray, piece: FloatArray) -> None:
     """Take control points (rows, D) off those of a piece."""
     for row in range(piece.shape[0]):
@@ -217,7 +217,7 @@ def _subtract(other: FloatArray, piece: FloatArray) -> None:
             piece[row, i] -= other[row, i]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _place(times: FloatArray, control: FloatArray, k: int, time: float, point: FloatArray) -> None:
     """Fill ``point`` (3, 1) with where piece ``k`` of a timed curve is at a time."""
     num_terms = control.shape[2]
@@ -232,7 +232,7 @@ def _place(times: FloatArray, control: FloatArray, k: int, time: float, point: F
         point[axis, 0] = value
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _windows(times_a: FloatArray, times_b: FloatArray, start: float, end: float) -> tuple[NDArray[np.int64], FloatArray]:
     """The pieces of two timed curves that are flown together between two times.
 
@@ -255,7 +255,7 @@ def _windows(times_a: FloatArray, times_b: FloatArray, start: float, end: float)
         now = min(end, times_a[i + 1], times_b[j + 1])
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _nearest_moment(
     times_a: FloatArray, control_a: FloatArray, times_b: FloatArray, control_b: FloatArray, pieces: NDArray[np.int64],
     moments: FloatArray,

@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for, record_of
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for, compiled_lazily, record_of
 from flockopt.geometry.distances import BOX, HALF_X, HALF_Y, HALF_Z, SHAPE, SPHERE, X, bounding_boxes
 from flockopt.geometry.kernels import SEGMENT_TOLERANCE_M, segment_distance, segment_near_box
 from flockopt.records.arrays import FloatArray
@@ -62,7 +61,7 @@ def inside(space: FreeSpace, point: FloatArray) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def may_meet(space: FreeSpace, k: int, lower: FloatArray, upper: FloatArray) -> bool:
     """Whether obstacle k, grown by what is to be kept from it, may reach into the box from ``lower`` to ``upper``.
 
@@ -89,7 +88,7 @@ def segment_clear(space: FreeSpace, p: FloatArray, q: FloatArray) -> bool:
     return True
 
 
-@njit(cache=True)
+@compiled_lazily()
 def segment_free(space: FreeSpace, p: FloatArray, q: FloatArray) -> bool:
     """Whether the segment between two points (3,) m is clear and within the bounds."""
     return inside(space, p) and inside(space, q) and segment_clear(space, p, q)

@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from flockopt.batches.compiled import FLOATS_2, compiled_for, writable
+from flockopt.batches.compiled import FLOATS_2, compiled_for, compiled_lazily, writable
 from flockopt.geometry.bernstein import DEEPEST, MOST_INTERVALS, NARROWEST, copy_piece, halve
 from flockopt.geometry.kernels import point_distance, point_gradient
 from flockopt.records.arrays import FloatArray
@@ -39,13 +39,13 @@ __all__ = [
 FIRST_TIME_S = 1e-3
 
 
-@njit(cache=True)
+@compiled_lazily()
 def new_stack(num_terms: int) -> tuple[FloatArray, FloatArray]:
     """Room for the intervals of one piece: control points (S, 3, D) and spans (S, 2)."""
     return np.empty((DEEPEST + 3, 3, num_terms)), np.empty((DEEPEST + 3, 2))
 
 
-@njit(cache=True)
+@compiled_lazily()
 def deviation(node: FloatArray) -> float:
     """How far from the chord between its ends an interval's curve (3, D) may be, metres."""
     last = node.shape[1] - 1
@@ -61,7 +61,7 @@ def deviation(node: FloatArray) -> float:
     return math.sqrt(largest)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def split(stack: FloatArray, spans: FloatArray, top: int) -> None:
     """Replace the interval on ``top`` of the stack by its halves, the earlier one uppermost."""
     # The later half takes the interval's own place: depth-first, so that the stack is as deep as intervals are halved.
@@ -100,7 +100,7 @@ def end_norm(node: FloatArray, end: int) -> float:
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def chord_bound(node: FloatArray) -> float:
     """Least possible distance from the origin of an interval's curve (3, D)."""
     last = node.shape[1] - 1
@@ -112,7 +112,7 @@ def chord_bound(node: FloatArray) -> float:
     return math.sqrt(x * x + y * y + z * z) - deviation(node)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def least_clearance_below(
     piece: FloatArray, row: FloatArray, need: float, best: float, tolerance: float, stop_below: float,
     stack: FloatArray, spans: FloatArray,
@@ -159,7 +159,7 @@ def least_clearance_below(
     return best, where, proven
 
 
-@njit(cache=True)
+@compiled_lazily()
 def least_norm_below(best: float, tolerance: float, stack: FloatArray, spans: FloatArray) -> tuple[float, float, float]:
     """Least distance from the origin of the curve at ``stack[0]``: least met, where (-1: not below best), bound."""
     last = stack.shape[2] - 1
@@ -183,7 +183,7 @@ def least_norm_below(best: float, tolerance: float, stack: FloatArray, spans: Fl
     return best, where, proven
 
 
-@njit(cache=True)
+@compiled_lazily()
 def first_inside(duration: float, graze: float, stack: FloatArray, spans: FloatArray) -> float:
     """Where in [0, 1] the curve at ``stack[0]`` first comes within 1 of the origin; -1 if it stays out."""
     last = stack.shape[2] - 1

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import ArrayLike
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for, compiled_lazily
 from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, X, Y, Z
 from flockopt.records.arrays import FloatArray
 
@@ -25,7 +25,7 @@ __all__ = [
 SEGMENT_TOLERANCE_M = 1e-9
 
 
-@njit(cache=True, inline="always")
+@compiled_lazily(inline="always")
 def _signed_prism(a: float, b: float, c: float) -> float:
     outside = math.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2)
     return outside + min(max(a, b, c), 0.0)
@@ -44,7 +44,7 @@ def point_distance(row: FloatArray, x: float, y: float, z: float) -> float:
     return math.sqrt(dx * dx + dy * dy + dz * dz) - row[HALF_X]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _prism_gradient(a: float, b: float, c: float) -> tuple[float, float, float]:
     """Gradient of `_signed_prism` with respect to its three excesses."""
     pa, pb, pc = max(a, 0.0), max(b, 0.0), max(c, 0.0)
@@ -131,7 +131,7 @@ def segment_distance(row: FloatArray, p: FloatArray, q: FloatArray, enough: floa
     return best
 
 
-@njit(cache=True)
+@compiled_lazily()
 def segment_near_box(box: FloatArray, reach: float, p: FloatArray, q: FloatArray) -> bool:
     """Whether the segment meets the bounding box grown by ``reach`` (slab test)."""
     enter, leave = 0.0, 1.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from flockopt.batches.compiled import FLOATS_2, compiled_for
+from flockopt.batches.compiled import FLOATS_2, compiled_for, compiled_lazily
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
 
@@ -34,7 +34,7 @@ def thinned(points: FloatArray, tolerance: float) -> FloatArray:
     return points[kept]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _farthest_from_chord(points: FloatArray, first: int, last: int) -> tuple[int, float]:
     """The vertex between two others that is farthest from their chord, and how far it is, metres; -1 without any."""
     chord = points[last] - points[first]
@@ -49,12 +49,12 @@ def _farthest_from_chord(points: FloatArray, first: int, last: int) -> tuple[int
     return worst, most
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _dot(a: FloatArray, b: FloatArray) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def polyline_length(points: FloatArray) -> float:
     """Metres of a polyline (V, 3)."""
     total = 0.0

@@ -93,7 +93,7 @@ def plan(scene: Scene, settings: PlanSettings | None = None, *, progress: Report
 def _planned(scene: Scene, travel: Travel, planner: Planner, settings: PlanSettings, clock: Clock) -> Plan:
     """What a planner proposes made a plan; where that is not certified, what another one does."""
     result, proposal = _asked(scene, travel, planner, settings, clock, "allocate")
-    if result.status == Status.CERTIFIED or proposal.otherwise is None:
+    if result.status in (Status.CERTIFIED, Status.INFEASIBLE) or proposal.otherwise is None:
         return result
     try:
         with clock.stage("fallback", 0.95):

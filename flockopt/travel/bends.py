@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for, record_of
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for, compiled_lazily, record_of
 from flockopt.geometry.distances import HALF_X, SHAPE, SPHERE, X
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, inside, may_meet
 from flockopt.geometry.kernels import point_distance, point_gradient, segment_length
@@ -69,7 +69,7 @@ def unrestricted(features: Features) -> Features:
     return features._replace(slack=np.full(len(features.slack), np.inf), bend=np.inf)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _blocked_stretch(row: FloatArray, need: float, p: FloatArray, q: FloatArray) -> tuple[float, float]:
     """The fractions of p-q between which it is nearer than ``need`` to the obstacle; (1, 0) if nowhere."""
     d0, d1, d2 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -113,7 +113,7 @@ def _blocked_stretch(row: FloatArray, need: float, p: FloatArray, q: FloatArray)
     return enter, leave
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float, float]:
     """The fractions of an edge between which it is within bounds; (1, 0) if nowhere."""
     enter, leave = 0.0, 1.0
@@ -145,7 +145,7 @@ def _sample(space: FreeSpace, edges: FloatArray, spacing: float) -> FloatArray:
     return rows[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _fill_blocked(space: FreeSpace, edge: FloatArray, blocked: FloatArray) -> None:
     """Fill ``blocked`` (K + 1, 2) with the stretches of an edge that other obstacles block, in rising order; 2 after them."""
     p, q = edge[FROM : FROM + 3], edge[TO : TO + 3]
@@ -164,7 +164,7 @@ def _fill_blocked(space: FreeSpace, edge: FloatArray, blocked: FloatArray) -> No
     blocked[num_blocked] = 2.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _sample_edge(
     edge: FloatArray, first: float, last: float, blocked: FloatArray, spacing: float, rows: FloatArray, count: int
 ) -> tuple[FloatArray, int]:
@@ -199,7 +199,7 @@ def _sample_edge(
     return rows, count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _sample_sphere(space: FreeSpace, k: int, rows: FloatArray, count: int) -> tuple[FloatArray, int]:
     """Append a net of features around a sphere, every 45 degrees around and up; the rows, and how many are filled.
 
@@ -223,7 +223,7 @@ def _sample_sphere(space: FreeSpace, k: int, rows: FloatArray, count: int) -> tu
     return rows, count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _free(space: FreeSpace, point: FloatArray) -> bool:
     for k in range(space.table.shape[0]):
         if point_distance(space.table[k], point[0], point[1], point[2]) < space.needs[k]:

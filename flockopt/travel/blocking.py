@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_2, compiled_for
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_2, compiled_for, compiled_lazily
 from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, X, Y, Z
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.kernels import SEGMENT_TOLERANCE_M, segment_distance
@@ -65,7 +65,7 @@ def blocked_pairs(space: FreeSpace, points: FloatArray, pairs: NDArray[np.int64]
     return blocked
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def too_near(table: FloatArray, k: int, need: float, p: FloatArray, q: FloatArray) -> bool:
     """Whether the segment p-q comes nearer to obstacle k than ``need``, by more than the tolerance."""
     room = need - SEGMENT_TOLERANCE_M
@@ -78,7 +78,7 @@ def too_near(table: FloatArray, k: int, need: float, p: FloatArray, q: FloatArra
     return _sphere_too_near(table, k, room, p, q)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _within(low: float, high: float, x: float, d: float, limit: float) -> tuple[float, float]:
     """The part of low..high where ``abs(x + t d) < limit``; high below low if there is none."""
     if d == 0.0:
@@ -89,13 +89,13 @@ def _within(low: float, high: float, x: float, d: float, limit: float) -> tuple[
     return (first if first > low else low), (second if second < high else high)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _pull(x: float, half: float) -> float:
     """How far x is outside -half..half, with its sign."""
     return x - half if x > half else (x + half if x < -half else 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _box_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
     """The squared distance is a convex, piecewise quadratic function along the segment.
 
@@ -140,7 +140,7 @@ def _box_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: Floa
     return a * a + b * b + c * c < room * room
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _box_slope(
     h0: float, h1: float, h2: float, x0: float, x1: float, x2: float, d0: float, d1: float, d2: float, t: float
 ) -> float:
@@ -148,7 +148,7 @@ def _box_slope(
     return _pull(x0 + t * d0, h0) * d0 + _pull(x1 + t * d1, h1) * d1 + _pull(x2 + t * d2, h2) * d2
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _cylinder_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
     """Closed form beside the cylinder and over its flat ends; only near a rim the distance is iterated."""
     x, y, z = p[0] - table[k, X], p[1] - table[k, Y], p[2] - table[k, Z]
@@ -196,21 +196,21 @@ def _cylinder_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q:
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _rim_squared(a: float, b: float, c: float, radius: float, t: float) -> float:
     """Squared horizontal distance to the footprint where the squared distance to its axis is a t^2 + 2 b t + c."""
     outside = math.sqrt(max(a * t * t + 2.0 * b * t + c, 0.0)) - radius
     return outside * outside if outside > 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _rim_slope(a: float, b: float, c: float, radius: float, t: float) -> float:
     """Half the derivative of `_rim_squared`."""
     away = math.sqrt(max(a * t * t + 2.0 * b * t + c, 0.0))
     return (away - radius) * (a * t + b) / away if away > radius else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _sphere_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
     x, y, z = table[k, X] - p[0], table[k, Y] - p[1], table[k, Z] - p[2]
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]

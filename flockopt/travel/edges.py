@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from flockopt.batches.compiled import FLOATS_2, compiled_for, writable
+from flockopt.batches.compiled import FLOATS_2, compiled_for, compiled_lazily, writable
 from flockopt.geometry.distances import BOX, COS_YAW, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, SPHERE, X, Y, Z
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.kernels import point_distance, point_gradient
@@ -54,7 +54,7 @@ def room_for_row(rows: FloatArray, count: int) -> FloatArray:
     return wider
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: FloatArray) -> None:
     """Fill the outward normals (S, 2) and the corners (S, 2) of the polygon; corner i joins sides i and i + 1."""
     sides = normals.shape[0]
@@ -148,7 +148,7 @@ def _gap_edges(space: FreeSpace) -> FloatArray:
     return edges[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _excess(row: FloatArray, need: float) -> float:
     """How far a feature may stand out from the grown obstacle, metres."""
     if row[SHAPE] == BOX:
@@ -156,7 +156,7 @@ def _excess(row: FloatArray, need: float) -> float:
     return (NET_EXCESS if row[SHAPE] == SPHERE else CORNER_EXCESS) * (row[HALF_X] + need)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _gap(space: FreeSpace, first: int, second: int, height: float, middle: FloatArray) -> float:
     """Width of the gap that two obstacles leave a drone's centre, by projecting back and forth between them.
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["SETTLED", "Frontier", "empty_frontier", "offer", "take_least"]
@@ -29,14 +29,14 @@ class Frontier(NamedTuple):
     key: FloatArray  # (F,)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def empty_frontier(num_features: int) -> Frontier:
     """No feature met yet."""
     heap, place = np.empty(num_features, dtype=np.int64), np.full(num_features, UNMET, dtype=np.int64)
     return Frontier(heap, np.zeros(1, dtype=np.int64), place, np.empty(num_features))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def offer(frontier: Frontier, v: int, key: float) -> None:
     """Put a feature in, or move it up to a smaller key than it had."""
     heap, place, keys = frontier.heap, frontier.place, frontier.key
@@ -56,7 +56,7 @@ def offer(frontier: Frontier, v: int, key: float) -> None:
     place[v] = at
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def take_least(frontier: Frontier) -> int:
     """Take out the feature with the least key; it counts as settled."""
     heap, place, keys = frontier.heap, frontier.place, frontier.key

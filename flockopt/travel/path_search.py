@@ -16,9 +16,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.blocking import blocker
 from flockopt.travel.frontier import SETTLED, Frontier, empty_frontier, offer, take_least
@@ -49,7 +49,7 @@ class Search(NamedTuple):
     parent: NDArray[np.int64]  # (F,) as in `Ellipse`
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def within_ellipse(
     view: View, source: int, target: int, from_source: FloatArray, bound: float, parent: NDArray[np.int64]
 ) -> tuple[float, int]:
@@ -102,7 +102,7 @@ def within_ellipse(
     return np.inf, -1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _gather(view: View, source: int, target: int, from_source: FloatArray, bound: float, ellipse: Ellipse) -> int:
     """Fill the ellipse with its members; return how many there are, -1 if too many."""
     position, points, seen, size = view.features.position, view.points, view.seen, 0
@@ -122,7 +122,7 @@ def _gather(view: View, source: int, target: int, from_source: FloatArray, bound
     return size
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _arrival(view: View, source: int, parent: NDArray[np.int64], u: int) -> Step:
     """The step by which the best path so far comes to feature u."""
     position = view.features.position
@@ -131,7 +131,7 @@ def _arrival(view: View, source: int, parent: NDArray[np.int64], u: int) -> Step
     return step(position, parent[u], position, u)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _relax_ellipse(view: View, source: int, ellipse: Ellipse, size: int, nearest: int, best: float, guess: int) -> int:
     """Shorten the ways to other members by those through the settled one ``nearest``; return who blocked last."""
     space, features, seen, parent = view.space, view.features, view.seen, ellipse.parent
@@ -162,7 +162,7 @@ def _relax_ellipse(view: View, source: int, ellipse: Ellipse, size: int, nearest
     return guess
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def shortest(
     view: View, sight: Sight, source: int, targets: NDArray[np.int64], best: FloatArray, last: NDArray[np.int64],
     parent: NDArray[np.int64],
@@ -204,7 +204,7 @@ def shortest(
     return sight
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _set_out(view: View, source: int, targets: NDArray[np.int64], worst: float, search: Search) -> None:
     """Estimate all features' ways to go, and offer those that the source sees."""
     points, position, num_obstacles = view.points, view.features.position, view.space.table.shape[0]
@@ -226,7 +226,7 @@ def _set_out(view: View, source: int, targets: NDArray[np.int64], worst: float, 
             guess = found
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _reach(
     view: View, u: int, come: Step, so_far: float, targets: NDArray[np.int64], best: FloatArray,
     last: NDArray[np.int64],
@@ -248,7 +248,7 @@ def _reach(
     return useful, improved
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _relax(view: View, sight: Sight, u: int, come: Step, worst: float, search: Search) -> None:
     """Shorten the ways to the features that the settled feature u sees."""
     features, pool, frontier = view.features, sight.pool, search.frontier

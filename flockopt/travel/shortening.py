@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for, writable
+from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for, compiled_lazily, writable
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, may_meet
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
@@ -67,7 +67,7 @@ def shorten(
     return lengths
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _shorten_one(space: FreeSpace, path: FloatArray, edges: FloatArray, size: int) -> int:
     """Shorten the polyline of the first ``size`` vertices; return how many are left."""
     local = _nearby(space, path, size)
@@ -91,7 +91,7 @@ def _shorten_one(space: FreeSpace, path: FloatArray, edges: FloatArray, size: in
     return size
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _length(path: FloatArray, size: int) -> float:
     total = 0.0
     for i in range(size - 1):
@@ -99,7 +99,7 @@ def _length(path: FloatArray, size: int) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _nearby(space: FreeSpace, path: FloatArray, size: int) -> FreeSpace:
     """The obstacles that the polyline's bounding box meets: shortening never leaves that box."""
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
@@ -115,7 +115,7 @@ def _nearby(space: FreeSpace, path: FloatArray, size: int) -> FreeSpace:
     return FreeSpace(space.table[kept], space.boxes[kept], space.needs[kept], space.reach[kept], space.lower, space.upper)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _skip(space: FreeSpace, path: FloatArray, edges: FloatArray, size: int) -> int:
     """Remove bends whose neighbours see each other; return the new size."""
     i = 1
@@ -165,7 +165,7 @@ def _level(space: FreeSpace, path: FloatArray, first: int, last: int) -> None:
             break
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _slide(space: FreeSpace, path: FloatArray, edges: FloatArray, i: int) -> None:
     """Move bend i along its edge to where the path is shortest, or as far that way as is clear.
 
@@ -198,7 +198,7 @@ def _slide(space: FreeSpace, path: FloatArray, edges: FloatArray, i: int) -> Non
                 break
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _retract(space: FreeSpace, path: FloatArray, i: int, toward: int, away: int, least_gain: float) -> None:
     """Move bend i along its own segment to ``toward`` until the other segment touches an obstacle.
 

@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, compiled_for, record_of
+from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, compiled_for, compiled_lazily, record_of
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.records.arrays import FloatArray
 from flockopt.travel.bends import FEATURES, Features
@@ -61,13 +61,13 @@ def step(points: FloatArray, i: int, others: FloatArray, j: int) -> Step:
     return others[j, 0] - points[i, 0], others[j, 1] - points[i, 1], others[j, 2] - points[i, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def norm(d: Step) -> float:
     """Metres."""
     return math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def tangent(features: Features, u: int, d: Step) -> bool:
     """Whether a line of direction d through feature u stays out of the prism there."""
     first, second = features.first, features.second
@@ -76,7 +76,7 @@ def tangent(features: Features, u: int, d: Step) -> bool:
     return a * b <= features.slack[u] * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def wraps(features: Features, u: int, i: Step, o: Step) -> bool:
     """Whether the bend from direction i into direction o is around the obstacle of feature u, not away from it."""
     first, second = features.first, features.second
@@ -89,7 +89,7 @@ def wraps(features: Features, u: int, i: Step, o: Step) -> bool:
     return a <= limit and b <= limit
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _knows(pool: NDArray[np.int32], begin: int, end: int, u: int) -> bool:
     """Whether u stands in the sorted list that begins and ends there."""
     low, high = begin, end
@@ -102,7 +102,7 @@ def _knows(pool: NDArray[np.int32], begin: int, end: int, u: int) -> bool:
     return low < end and pool[low] == u
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def look_around(view: View, sight: Sight, u: int) -> Sight:
     """Fill the list of feature u: every feature it sees along a line tangent at both."""
     space, features = view.space, view.features

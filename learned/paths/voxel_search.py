@@ -12,9 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.geometry.distances import X, Y
 from flockopt.geometry.free_space import FreeSpace
 from flockopt.geometry.kernels import point_distance
@@ -70,7 +70,7 @@ def make_grid(space: FreeSpace, side: float, connectivity: int) -> Grid:
     return grid
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def center_of(grid: Grid, voxel: int) -> FloatArray:
     """Where the centre of a voxel is, (3,) m."""
     center = np.empty(3)
@@ -81,7 +81,7 @@ def center_of(grid: Grid, voxel: int) -> FloatArray:
     return center
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _room(space: FreeSpace, lower: FloatArray, side: float, shape: IntArray) -> FloatArray:
     """(V,) m, how much farther than needed each voxel's centre is from obstacles; negative where blocked, on the rim too."""
     room = np.full(shape[0] * shape[1] * shape[2], -1.0)
@@ -100,7 +100,7 @@ def _room(space: FreeSpace, lower: FloatArray, side: float, shape: IntArray) -> 
     return room
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _free_steps(space: FreeSpace, grid: Grid, room: FloatArray) -> None:
     """Fill ``grid.steps``: a step is clear where the room at both its ends adds up to its length (triangle inequality)."""
     num_moves = grid.moves.shape[0]
@@ -120,7 +120,7 @@ def _free_steps(space: FreeSpace, grid: Grid, room: FloatArray) -> None:
             grid.steps[other] |= np.uint32(1 << (num_moves - 1 - move))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def linked_voxel(space: FreeSpace, grid: Grid, place: FloatArray) -> int:
     """The free voxel with the nearest centre that a place sees in a straight line, or -1 where none is near."""
     best, found = np.inf, -1
@@ -143,7 +143,7 @@ def linked_voxel(space: FreeSpace, grid: Grid, place: FloatArray) -> int:
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def dijkstra(grid: Grid, source: int, targets: IntArray) -> FloatArray:
     """Least cost from a voxel to each of the targets (Q,), in voxel sides; infinite where there is no way."""
     num_voxels, num_moves = grid.is_free.shape[0], grid.moves.shape[0]
@@ -186,12 +186,12 @@ def dijkstra(grid: Grid, source: int, targets: IntArray) -> FloatArray:
     return result
 
 
-@njit(cache=True, inline="always")
+@compiled_lazily(inline="always")
 def _bucket(cost: float) -> int:
     return int(cost + SAME_COST) % NUM_BUCKETS
 
 
-@njit(cache=True, inline="always")
+@compiled_lazily(inline="always")
 def _link(head: IntArray, after: IntArray, before: IntArray, voxel: int, slot: int) -> None:
     after[voxel], before[voxel] = head[slot], -1
     if head[slot] >= 0:
@@ -199,7 +199,7 @@ def _link(head: IntArray, after: IntArray, before: IntArray, voxel: int, slot: i
     head[slot] = voxel
 
 
-@njit(cache=True, inline="always")
+@compiled_lazily(inline="always")
 def _unlink(head: IntArray, after: IntArray, before: IntArray, voxel: int, slot: int) -> None:
     if before[voxel] >= 0:
         after[before[voxel]] = after[voxel]
@@ -209,7 +209,7 @@ def _unlink(head: IntArray, after: IntArray, before: IntArray, voxel: int, slot:
         before[after[voxel]] = before[voxel]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def astar(grid: Grid, source: int, target: int) -> IntArray:
     """The voxels of a cheapest way, both ends included; none where there is no way.
 
@@ -240,13 +240,13 @@ def astar(grid: Grid, source: int, target: int) -> IntArray:
     return np.empty(0, dtype=np.int64)
 
 
-@njit(cache=True, inline="always")
+@compiled_lazily(inline="always")
 def _place_of(grid: Grid, voxel: int) -> tuple[int, int, int]:
     layer = grid.shape[1] * grid.shape[2]
     return voxel // layer, voxel % layer // grid.shape[2], voxel % grid.shape[2]
 
 
-@njit(cache=True, inline="always")
+@compiled_lazily(inline="always")
 def _to_go(grid: Grid, voxel: int, goal: tuple[int, int, int], is_diagonal: bool) -> float:
     """What an empty grid costs from a voxel to the goal, in voxel sides."""
     x, y, z = _place_of(grid, voxel)
@@ -258,7 +258,7 @@ def _to_go(grid: Grid, voxel: int, goal: tuple[int, int, int], is_diagonal: bool
     return low * math.sqrt(3.0) + (middle - low) * math.sqrt(2.0) + (high - middle)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _followed_back(grid: Grid, cost: FloatArray, source: int, target: int) -> IntArray:
     """The way that explains the target's cost, from the source."""
     way = [target]

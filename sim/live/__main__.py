@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flockopt import Changes, Plan, PlanError, Scene, SettingsError, plan, replan
-from flockopt.cli.status import INTERRUPTED, run_command
+from flockopt.cli.status import run_command
 from flockopt.records import checks
 from flockopt.records.status import Status
 from sim.live.page import Page
@@ -46,10 +46,7 @@ mend it)"""
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line."""
     options = _parser().parse_args(argv)
-    try:
-        return run_command("sim.live", lambda: _live(options))
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    return run_command("sim.live", lambda: _live(options))
 
 
 def _live(options: argparse.Namespace) -> None:

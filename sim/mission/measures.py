@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.flights import Curve, Flight
 from flockopt.geometry.kernels import point_distance
 from flockopt.records.arrays import FloatArray
@@ -121,7 +121,7 @@ def _is_flying(curve: Curve, times: FloatArray) -> NDArray[np.bool_]:
     return (times >= curve.start_time) & (times <= curve.end_time)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def least_clearance(table: FloatArray, boxes: FloatArray, radii: FloatArray, positions: FloatArray) -> float:
     """Least gap between any drone's ball and any obstacle over all samples, metres; infinite without obstacles."""
     least = np.inf
@@ -137,7 +137,7 @@ def least_clearance(table: FloatArray, boxes: FloatArray, radii: FloatArray, pos
     return least
 
 
-@njit(cache=True)
+@compiled_lazily()
 def least_separation(positions: FloatArray) -> float:
     """Least distance between two drones over all samples, metres; infinite for one drone."""
     least = np.inf

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-from numba import njit
-
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.scene.scene import GRAVITY_MPS2
 from sim.physics.quadrotor import Body, Rotors, acceleration_of, clipped, drag_force, lead_command, rotor_speed, total_thrust
 from sim.physics.vectors import Axes, Vector, axes_of, cross, dot, minus, norm, plus, times, to_body, to_world
@@ -37,7 +36,7 @@ EAST: Vector = (1.0, 0.0, 0.0)
 Wanted: TypeAlias = tuple[Vector, Vector, Vector, Vector, Vector]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def integrated_error(frame: Any, integral: Vector, error: Vector, step_s: float) -> Vector:
     """The integral of the position error a step later, within what the controller may use of it (m s)."""
     most = MOST_INTEGRAL_MPS2 / (INTEGRAL_SHARE * frame.position_rate**3)
@@ -48,7 +47,7 @@ def integrated_error(frame: Any, integral: Vector, error: Vector, step_s: float)
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def geometric_command(frame: Any, body: Body, rpm: Rotors, wanted: Wanted, integral: Vector, has_drag: bool) -> Rotors:
     """Speeds to ask of the rotors, rpm.
 
@@ -86,7 +85,7 @@ def geometric_command(frame: Any, body: Body, rpm: Rotors, wanted: Wanted, integ
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _flat_attitude(push: Vector, change: Vector, change_rate: Vector) -> tuple[Axes, Vector, Vector]:
     """Axes, body rates and angular acceleration (in those axes) whose z axis follows a thrust and its two derivatives.
 
@@ -106,7 +105,7 @@ def _flat_attitude(push: Vector, change: Vector, change_rate: Vector) -> tuple[A
     return (front, left, up), (-y, x, yaw), (-bend_y + x * yaw, bend_x + y * yaw, 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _attitude_torque(frame: Any, axes: Axes, rates: Vector, desired: Axes, turning: Vector, spinning: Vector) -> Vector:
     """Torque in the body's axes, N m, that brings them to the desired ones, which turn and spin up as given in their own."""
     twist = plus(plus(cross(axes[0], desired[0]), cross(axes[1], desired[1])), cross(axes[2], desired[2]))
@@ -122,7 +121,7 @@ def _attitude_torque(frame: Any, axes: Axes, rates: Vector, desired: Axes, turni
     return plus((a, b, c), cross(rates, momentum))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def mixed_thrusts(frame: Any, thrust: float, torque: Vector) -> Rotors:
     """Thrusts of the four rotors, N, that give a thrust and a torque, as near as they can.
 

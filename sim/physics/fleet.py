@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.records.arrays import FloatArray
 from sim.physics.controller import geometric_command, integrated_error
 from sim.physics.mellinger import mellinger_command
@@ -33,7 +33,7 @@ AIR_DENSITY_KGPM3 = 1.2
 JET_CORE_DIAMETERS, JET_WIDTH = 6.0, 0.113
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def advance(
     reference: Reference,
     truth: NDArray[Any],
@@ -94,7 +94,7 @@ def advance(
         _pack(states, i, body, rpm)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _unpacked(states: FloatArray, i: int) -> tuple[Body, Rotors]:
     row = states[i]
     body = (
@@ -103,7 +103,7 @@ def _unpacked(states: FloatArray, i: int) -> tuple[Body, Rotors]:
     return body, (row[13], row[14], row[15], row[16])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _pack(states: FloatArray, i: int, body: Body, rpm: Rotors) -> None:
     for axis in range(3):
         states[i, axis], states[i, 7 + axis], states[i, 10 + axis] = body[0][axis], body[2][axis], body[3][axis]
@@ -111,7 +111,7 @@ def _pack(states: FloatArray, i: int, body: Body, rpm: Rotors) -> None:
         states[i, 3 + part], states[i, 13 + part] = body[1][part], rpm[part]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def add_downwash(truth: NDArray[Any], states: FloatArray, wind: FloatArray) -> None:
     """Add to the air around each drone the jets of those above it.
 
@@ -130,7 +130,7 @@ def add_downwash(truth: NDArray[Any], states: FloatArray, wind: FloatArray) -> N
                 wind[lower, 2] -= _jet_speed(speed, diameter, below, flat)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _jet_speed(speed: float, diameter: float, below: float, aside: float) -> float:
     """Downward speed of the air in a jet, m/s."""
     width = max(0.5 * diameter, JET_WIDTH * below)

@@ -13,9 +13,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.errors import SettingsError
 from flockopt.scene import Scene
 from sim.physics.controller import Wanted
@@ -72,7 +72,7 @@ def tunings(scene: Scene, names: Sequence[str], frames: NDArray[Any]) -> NDArray
     return records
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def mellinger_command(frame: Any, own: Any, body: Body, wanted: Wanted, step_s: float) -> Rotors:
     """Speeds to ask of the rotors, rpm; ``own`` is the drone's record of `MELLINGER`, which is brought up to date."""
     thrust, torque = mellinger_wrench(own, body, wanted[0], wanted[1], wanted[2], step_s)
@@ -86,7 +86,7 @@ def mellinger_command(frame: Any, own: Any, body: Body, wanted: Wanted, step_s: 
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def mellinger_wrench(
     own: Any, body: Body, position: Vector, velocity: Vector, acceleration: Vector, step_s: float
 ) -> tuple[float, Vector]:
@@ -105,7 +105,7 @@ def mellinger_wrench(
     return _achieved(own, mean, _torque_pwm(own, axes, _desired_axes(push), rates, step_s, mean > 0.0))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _desired_axes(push: Vector) -> Axes:
     up = times(1.0 / norm(push), push)
     left = cross(up, EAST)
@@ -113,7 +113,7 @@ def _desired_axes(push: Vector) -> Axes:
     return cross(left, up), left, up
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _torque_pwm(own: Any, axes: Axes, desired: Axes, rates: Vector, step_s: float, is_on: bool) -> Vector:
     error = (
         dot(desired[2], axes[1]) - dot(desired[1], axes[2]),
@@ -130,7 +130,7 @@ def _torque_pwm(own: Any, axes: Axes, desired: Axes, rates: Vector, step_s: floa
     return torque[0], torque[1], torque[2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _achieved(own: Any, mean: float, pwm: Vector) -> tuple[float, Vector]:
     """Thrust and torque that four pulse widths give, each cut to what a motor takes."""
     roll, pitch, yaw = 0.5 * pwm[0], 0.5 * pwm[1], pwm[2]

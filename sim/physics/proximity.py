@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.geometry.kernels import point_distance
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["within_reach"]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def within_reach(
     table: FloatArray,
     boxes: FloatArray,

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, TypeAlias
 
-from numba import njit
-
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.scene.scene import GRAVITY_MPS2
 from sim.physics.vectors import Axes, Quaternion, Vector, axes_of, cross, minus, plus, rotated, times, to_body, to_world
 
@@ -28,38 +27,38 @@ Rotors: TypeAlias = tuple[float, float, float, float]
 RADIANS_PER_SECOND_OF_RPM = math.pi / 30.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def clipped(value: float, low: float, high: float) -> float:
     """The nearest number within [low, high]."""
     return min(max(value, low), high)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def rotor_thrust(frame: Any, rpm: float) -> float:
     """Thrust of one rotor, N."""
     return frame.thrust_curve[0] + rpm * (frame.thrust_curve[1] + rpm * frame.thrust_curve[2])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def rotor_torque(frame: Any, rpm: float) -> float:
     """Drag torque of one rotor, N m."""
     return frame.torque_curve[0] + rpm * (frame.torque_curve[1] + rpm * frame.torque_curve[2])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def rotor_speed(frame: Any, thrust: float) -> float:
     """The rpm at which one rotor gives this thrust."""
     zero, slope, square = frame.thrust_curve
     return (-slope + math.sqrt(slope * slope - 4.0 * square * (zero - thrust))) / (2.0 * square)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def total_thrust(frame: Any, rpm: Rotors) -> float:
     """Thrust of all four rotors along the body's z axis, N."""
     return rotor_thrust(frame, rpm[0]) + rotor_thrust(frame, rpm[1]) + rotor_thrust(frame, rpm[2]) + rotor_thrust(frame, rpm[3])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def torque_of(frame: Any, rpm: Rotors) -> Vector:
     """Torque of the rotors about the body's axes, N m; signs as in `sim.physics.vehicles.MIXING`."""
     a, b, c, d = (
@@ -69,7 +68,7 @@ def torque_of(frame: Any, rpm: Rotors) -> Vector:
     return frame.arm * (c + d - a - b), frame.arm * (b + c - a - d), yaw
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def shaft_power(frame: Any, rpm: Rotors) -> float:
     """Mechanical power of the rotors, W."""
     power = 0.0
@@ -78,7 +77,7 @@ def shaft_power(frame: Any, rpm: Rotors) -> float:
     return power
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def spun(frame: Any, rpm: Rotors, command: Rotors, step_s: float) -> Rotors:
     """The rotors' speeds a step later, asked for the speeds of the command."""
     return (
@@ -89,13 +88,13 @@ def spun(frame: Any, rpm: Rotors, command: Rotors, step_s: float) -> Rotors:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _spin_rate(frame: Any, rpm: float, command: float) -> float:
     gain = frame.spin_up if command > rpm else frame.spin_down
     return (command - rpm) * (gain[0] + gain[1] * (command + rpm))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def lead_command(frame: Any, rpm: float, target: float) -> float:
     """The command at which a rotor nears its target speed at the rate ``rotor_rate``, however slow the rotor is by itself.
 
@@ -111,21 +110,21 @@ def lead_command(frame: Any, rpm: float, target: float) -> float:
     return clipped(command, frame.least_rpm, frame.most_rpm)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def drag_force(frame: Any, axes: Axes, air_velocity: Vector) -> Vector:
     """Drag in the world frame, N, at a velocity through the air."""
     u, v, w = to_body(axes, air_velocity)
     return to_world(axes, (-frame.drag[0] * u, -frame.drag[1] * v, -frame.drag[2] * w))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def acceleration_of(frame: Any, axes: Axes, thrust: float, drag: Vector) -> Vector:
     """Of the centre of mass, m/s**2."""
     force = plus(times(thrust, axes[2]), drag)
     return plus(times(1.0 / frame.mass, force), (0.0, 0.0, -GRAVITY_MPS2))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def stepped(frame: Any, body: Body, rpm: Rotors, wind: Vector, has_drag: bool, step_s: float) -> Body:
     """The body a step later under its rotors, gravity and drag; positions to second order, rates to first."""
     position, attitude, velocity, rates = body

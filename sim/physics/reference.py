@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.certificate.plan_file import LARGEST_DEGREE
 from flockopt.flights import Flight
 from flockopt.records.arrays import FloatArray
@@ -59,7 +59,7 @@ def pack_flights(drones: Sequence[Drone], flights: Mapping[str, Flight]) -> Refe
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def state_at(reference: Reference, drone: int, time: float) -> tuple[Vector, Vector, Vector, Vector, Vector]:
     """Position, velocity, acceleration, jerk and snap of a drone's plan; times are asked for in rising order."""
     piece, last = reference.piece[drone], reference.first[drone + 1] - 1
@@ -77,7 +77,7 @@ def state_at(reference: Reference, drone: int, time: float) -> tuple[Vector, Vec
     return position, (x[1], y[1], z[1]), (x[2], y[2], z[2]), (x[3], y[3], z[3]), (x[4], y[4], z[4])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def _derivatives(coefficients: FloatArray, piece: int, axis: int, t: float) -> tuple[float, float, float, float, float]:
     """The value and four derivatives of a polynomial: Horner's scheme gives the k-th over k factorial."""
     value = first = second = third = fourth = 0.0

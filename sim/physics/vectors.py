@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-from numba import njit
+from flockopt.batches.compiled import compiled_lazily
 
 __all__ = [
     "Axes", "Quaternion", "Vector", "axes_of", "cross", "dot", "minus", "norm", "plus", "rotated", "times", "to_body",
@@ -23,43 +23,43 @@ Quaternion: TypeAlias = tuple[float, float, float, float]
 SMALL_ANGLE = 1e-8
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def plus(a: Vector, b: Vector) -> Vector:
     """The sum a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def minus(a: Vector, b: Vector) -> Vector:
     """The difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def times(factor: float, a: Vector) -> Vector:
     """The vector scaled."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def dot(a: Vector, b: Vector) -> float:
     """Inner product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def cross(a: Vector, b: Vector) -> Vector:
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def norm(a: Vector) -> float:
     """Euclidean length."""
     return math.sqrt(dot(a, a))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def axes_of(q: Quaternion) -> Axes:
     """The body's axes in the world frame, from a unit quaternion."""
     x, y, z, w = q
@@ -70,19 +70,19 @@ def axes_of(q: Quaternion) -> Axes:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def to_body(axes: Axes, world: Vector) -> Vector:
     """A vector of the world frame in the body's."""
     return dot(axes[0], world), dot(axes[1], world), dot(axes[2], world)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def to_world(axes: Axes, body: Vector) -> Vector:
     """A vector of the body's frame in the world's."""
     return plus(plus(times(body[0], axes[0]), times(body[1], axes[1])), times(body[2], axes[2]))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def rotated(q: Quaternion, turn: Vector) -> Quaternion:
     """The attitude after a turn in the body's frame, given as axis times angle (radians)."""
     angle = norm(turn)
@@ -99,7 +99,7 @@ def rotated(q: Quaternion, turn: Vector) -> Quaternion:
     return x / size, y / size, z / size, w / size
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_lazily(error_model="numpy")
 def turn_between(before: Quaternion, after: Quaternion) -> Vector:
     """The turn from one attitude to another in the world frame, axis times angle (radians)."""
     a, b, c, d = -before[0], -before[1], -before[2], before[3]

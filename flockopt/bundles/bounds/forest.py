@@ -10,10 +10,10 @@ breaking these rules (Held and Karp 1970) lift the bound.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
+from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, compiled_lazily, writable
 from flockopt.bundles.bounds.polyak import BEST, LEAST_REACH, aim
 from flockopt.records.arrays import FloatArray
 
@@ -92,7 +92,7 @@ def _grow(
     return total
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _last_legs(
     ends: FloatArray, idle: FloatArray, needed: int, prices: FloatArray, start_prices: FloatArray, gradient: FloatArray
 ) -> float:
@@ -158,7 +158,7 @@ def relax(
     return weight - 2.0 * prices[:num].sum() + _last_legs(ends, idle, needed, prices[:num], prices[num:], gradient)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _some_have_no_end(ends: FloatArray) -> bool:
     lacking = 0
     for i in range(ends.shape[0]):

@@ -12,10 +12,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, writable
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, compiled_lazily, writable
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["Labels", "Neighbourhood", "cheapest_labels", "count_pairs", "count_visits", "grow_labels", "neighbourhood"]
@@ -56,7 +56,7 @@ def neighbourhood(between: FloatArray, size: int) -> Neighbourhood:
     return Neighbourhood(order, nearest, position, carried)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _carry(memory: int, places: NDArray[np.int8]) -> int:
     """The bits of ``memory`` moved to ``places``; those without a place are forgotten."""
     moved, bit = 0, 0
@@ -151,7 +151,7 @@ def grow_labels(
     return end
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _keep(
     table: FloatArray,
     touched: NDArray[np.int64],

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for, compiled_lazily
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["Tails", "grow_tails", "match_starts", "trace_tails"]
@@ -36,7 +36,7 @@ class Tails(NamedTuple):
     parents: NDArray[np.int64]  # (T,) the tail without its front, or -1
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _slot(
     table: NDArray[np.int64], fronts: NDArray[np.int64], sets: NDArray[np.int64], front: int, words: NDArray[np.int64]
 ) -> int:

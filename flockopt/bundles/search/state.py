@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_3, INNER, INTEGERS_1, record_of
+from flockopt.batches.compiled import FLOATS_1, FLOATS_3, INNER, INTEGERS_1, compiled_lazily, record_of
 from flockopt.records.arrays import FloatArray
 
 __all__ = [
@@ -55,10 +55,10 @@ INDICES_1, INDICES_2 = (types.Array(types.uint32, dimensions, "C") for dimension
 #: Compiles a function of the search. Without numba's reference counts, which cost more than the work they guard
 #: here, such a function cannot make an array: that nothing is allocated in the loop is checked at compile time.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
-compiled = njit(cache=True, no_cfunc_wrapper=True, **OPTIONS)
+compiled = compiled_lazily(no_cfunc_wrapper=True, **OPTIONS)
 
 #: The same for what only such functions call.
-inner = njit(cache=True, **INNER, **OPTIONS)
+inner = compiled_lazily(**INNER, **OPTIONS)
 
 
 class Problem(NamedTuple):

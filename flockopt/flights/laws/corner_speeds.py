@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, compiled_for
+from flockopt.batches.compiled import FLAGS_1, FLOATS_1, FLOATS_2, compiled_for, compiled_lazily
 from flockopt.records.arrays import FloatArray
 
 __all__ = ["SHORTEST_PHASE_S", "corner_speeds", "must_be_simple", "peak_speed", "ramp_seconds"]
@@ -59,7 +59,7 @@ def ramp_seconds(change: float, max_acceleration: float, max_jerk: float, simple
     return 2.0 * math.sqrt(change / max_jerk)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _mid_offset(change: float, max_acceleration: float, max_jerk: float, simple: bool) -> float:
     """Metres by which the first half of a ramp leads away from going on at the first velocity."""
     seconds = ramp_seconds(change, max_acceleration, max_jerk, simple)
@@ -70,7 +70,7 @@ def _mid_offset(change: float, max_acceleration: float, max_jerk: float, simple:
     return max_jerk * rising * (rising**2 / 6 + rising * holding / 2 + holding**2 / 2)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _change_distance(one: float, other: float, limits: FloatArray) -> float:
     """Metres flown while the speed changes from one to the other by a simple ramp: at their mean, by symmetry."""
     return 0.5 * (one + other) * ramp_seconds(abs(one - other), limits[1], limits[2], True)
@@ -89,7 +89,7 @@ def peak_speed(start: float, end: float, distance: float, limits: FloatArray) ->
     return low
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _directions(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Unit vectors (n, 3) along the legs, and their lengths (n,) m."""
     legs = vertices.shape[0] - 1
@@ -101,7 +101,7 @@ def _directions(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     return directions, lengths
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _turns(directions: FloatArray) -> FloatArray:
     """Norms (n + 1,) of the change of direction at every vertex; zero at both ends."""
     result = np.zeros(directions.shape[0] + 1)
@@ -111,7 +111,7 @@ def _turns(directions: FloatArray) -> FloatArray:
     return result
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _moved_vertices(
     points: FloatArray, vertices: FloatArray, speeds: FloatArray, limits: FloatArray, simple: NDArray[np.bool_]
 ) -> FloatArray:
@@ -126,7 +126,7 @@ def _moved_vertices(
     return result
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _needs(
     vertices: FloatArray, speeds: FloatArray, limits: FloatArray, simple: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:

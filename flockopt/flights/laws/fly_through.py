@@ -16,10 +16,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, FLOATS_3, compiled_for, compiled_lazily
 from flockopt.geometry.bernstein import control_points, least_margin
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.records.arrays import FloatArray
@@ -40,13 +40,13 @@ GRAZING_M = 1e-9
 SHORTEST_CRUISE = 4e-3
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _blend_seconds(change: float, max_acceleration: float, max_jerk: float) -> float:
     """Shortest blend for a change of velocity of norm ``change``."""
     return max(1.5 * change / max_acceleration, math.sqrt(6.0 * change / max_jerk), 1e-4)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _control_vertices(
     points: FloatArray, leg_s: FloatArray, blend_s: FloatArray, velocity: FloatArray, acceleration: FloatArray
 ) -> FloatArray:
@@ -70,7 +70,7 @@ def _control_vertices(
     return vertices
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _leg_velocities(vertices: FloatArray, leg_s: FloatArray, velocity: FloatArray) -> FloatArray:
     """Velocities before, along and after the legs: (n + 2, 3), the last one zero."""
     legs = leg_s.shape[0]
@@ -87,7 +87,7 @@ def _norm(vector: FloatArray) -> float:
     return math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _change(velocities: FloatArray, k: int) -> float:
     return math.sqrt(
         (velocities[k + 1, 0] - velocities[k, 0]) ** 2
@@ -96,7 +96,7 @@ def _change(velocities: FloatArray, k: int) -> float:
     )
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _without_cruises(leg_s: FloatArray, blend_s: FloatArray, unwanted: int) -> FloatArray:
     """Longer blends, so that on up to ``unwanted`` legs the two meet and no cruise is left between them.
 
@@ -121,7 +121,7 @@ def _without_cruises(leg_s: FloatArray, blend_s: FloatArray, unwanted: int) -> F
     return blend_s
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _durations(
     points: FloatArray, caps: FloatArray, limits: FloatArray, velocity: FloatArray, acceleration: FloatArray, unwanted: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -154,7 +154,7 @@ def _durations(
     return leg_s, blend_s, _control_vertices(points, leg_s, blend_s, velocity, acceleration)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _fitting(blend_s: FloatArray, leg_s: FloatArray) -> FloatArray:
     """Blends shortened where two of them would overlap on a leg."""
     result = blend_s.copy()
@@ -166,7 +166,7 @@ def _fitting(blend_s: FloatArray, leg_s: FloatArray) -> FloatArray:
     return result
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _entry_seconds(velocity: FloatArray, acceleration: FloatArray, target: FloatArray, limits: FloatArray) -> float:
     """Blend duration from a moving start: the shortest on a geometric grid that keeps every limit at 33 samples."""
     shortest = _blend_seconds(_norm(target - velocity), limits[1], limits[2])
@@ -194,7 +194,7 @@ def _entry_seconds(velocity: FloatArray, acceleration: FloatArray, target: Float
     return best
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _time_scale(leg_s: FloatArray, blend_s: FloatArray, velocities: FloatArray, caps: FloatArray, limits: FloatArray) -> float:
     """How much slower the stage must be flown for every limit to hold: at least about 1."""
     scale = 0.0
@@ -207,7 +207,7 @@ def _time_scale(leg_s: FloatArray, blend_s: FloatArray, velocities: FloatArray, 
     return scale
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _fill_blend(
     piece: FloatArray, start: FloatArray, before: FloatArray, after: FloatArray, acceleration: FloatArray, seconds: float
 ) -> None:

@@ -10,9 +10,9 @@ judge uses too. The sides of the scene's bounds are half-spaces already.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from flockopt.batches.compiled import FLOATS_3, compiled_for
+from flockopt.batches.compiled import FLOATS_3, compiled_for, compiled_lazily
 from flockopt.geometry.bernstein import halve
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.intervals import box_gap, fit_box
@@ -43,7 +43,7 @@ def part_weights(num_terms: int) -> FloatArray:
     return weights
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _keep(
     margins: FloatArray, rows: FloatArray, offsets: FloatArray,
     margin: float, normal: FloatArray, weights: FloatArray, offset: float,
@@ -58,7 +58,7 @@ def _keep(
             rows[loosest, axis, i] = normal[axis] * weights[i]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _tangent(row: FloatArray, control: FloatArray, normal: FloatArray) -> float:
     """Fill ``normal`` with the gradient at the control point (3, D) nearest to an obstacle; the tangent's offset.
 
@@ -74,7 +74,7 @@ def _tangent(row: FloatArray, control: FloatArray, normal: FloatArray) -> float:
     return normal[0] * x + normal[1] * y + normal[2] * z - least
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _bound_rows(
     control: FloatArray, space: FreeSpace, weights: FloatArray,
     margins: FloatArray, rows: FloatArray, offsets: FloatArray,
@@ -91,7 +91,7 @@ def _bound_rows(
         normal[axis] = 0.0
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _obstacle_rows(
     control: FloatArray,
     row: FloatArray,

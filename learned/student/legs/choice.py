@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.geometry.free_space import FreeSpace, polyline_free, segment_free
 from flockopt.geometry.polylines import polyline_length, thinned
 from flockopt.records.arrays import FloatArray, IntArray
@@ -18,13 +18,13 @@ from flockopt.records.arrays import FloatArray, IntArray
 __all__ = ["best_legs", "pull_legs", "rank"]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def rank(space: FreeSpace, way: FloatArray, tolerance: float) -> float:
     """Metres of a polyline (V, 3) that is clear once thinned by ``tolerance``, else infinite: less is better."""
     return polyline_length(way) if polyline_free(space, thinned(way, tolerance)) else math.inf
 
 
-@njit(cache=True)
+@compiled_lazily()
 def best_legs(
     space: FreeSpace, leg_end: IntArray, blocked: NDArray[np.bool_], samples: FloatArray, tries: FloatArray,
     tolerance: float,
@@ -58,7 +58,7 @@ def best_legs(
     return all_clear
 
 
-@njit(cache=True)
+@compiled_lazily()
 def pull_legs(space: FreeSpace, leg_end: IntArray, blocked: NDArray[np.bool_], samples: FloatArray, tolerance: float) -> None:
     """Pull one drone's blocked legs taut and thin them, in place; arguments as of `best_legs`.
 
@@ -81,7 +81,7 @@ def pull_legs(space: FreeSpace, leg_end: IntArray, blocked: NDArray[np.bool_], s
         begin = end
 
 
-@njit(cache=True)
+@compiled_lazily()
 def pulled(space: FreeSpace, way: FloatArray) -> FloatArray:
     """Vertices of a polyline (V, 3), each the farthest that a clear segment leads to from the one before."""
     kept = [0]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.geometry.free_space import FreeSpace, segment_free
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray, IntArray
@@ -16,7 +16,7 @@ __all__ = ["CLEAR_SHARE", "lay_out"]
 CLEAR_SHARE = 0.25
 
 
-@njit(cache=True)
+@compiled_lazily()
 def lay_out(space: FreeSpace, anchors: FloatArray, straight: FloatArray) -> tuple[IntArray, NDArray[np.bool_]]:
     """Legs and samples of one drone.
 
@@ -45,7 +45,7 @@ def lay_out(space: FreeSpace, anchors: FloatArray, straight: FloatArray) -> tupl
     return legs, blocked
 
 
-@njit(cache=True)
+@compiled_lazily()
 def anchor_places(weights: FloatArray, num_samples: int) -> IntArray:
     """(L + 1,) the samples of the anchors: rising from the first to the last, spaced by the legs' weights (L,)."""
     total, places = max(weights.sum(), 1e-9), np.zeros(len(weights) + 1, dtype=np.int64)

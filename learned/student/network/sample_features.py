@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from flockopt.batches.compiled import compiled_lazily
 from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, SHAPE, SIN_YAW, X, Y, Z
 from flockopt.geometry.free_space import FreeSpace
 from flockopt.geometry.kernels import point_distance, point_gradient
@@ -21,7 +21,7 @@ from learned.student.scenes.batch import FAR_AWAY_M, MOST_OBSTACLES, THINNING
 __all__ = ["add_residuals", "told_of"]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def told_of(
     space: FreeSpace, need: float, leg_begin: IntArray, leg_end: IntArray, blocked: NDArray[np.bool_],
     straight: FloatArray, nearest: int,
@@ -55,7 +55,7 @@ def told_of(
     return features
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _near_blocked_legs(table: FloatArray, blocked: NDArray[np.bool_], straight: FloatArray) -> FloatArray:
     """Rows of the obstacles nearest to the blocked legs, at most `MOST_OBSTACLES`, in the table's order."""
     if len(table) <= MOST_OBSTACLES:
@@ -69,7 +69,7 @@ def _near_blocked_legs(table: FloatArray, blocked: NDArray[np.bool_], straight: 
     return table[np.sort(np.argsort(gaps, kind="mergesort")[:MOST_OBSTACLES])]
 
 
-@njit(cache=True)
+@compiled_lazily()
 def leg_axes(p: FloatArray, q: FloatArray) -> tuple[FloatArray, float]:
     """Rows along the leg p-q, level across it and up from both, (3, 3); and its length, metres."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -81,7 +81,7 @@ def leg_axes(p: FloatArray, q: FloatArray) -> tuple[FloatArray, float]:
     return np.array([[x, y, z], [u, v, 0.0], [-z * v, z * u, x * v - y * u]]), leg_m
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _tell_of_obstacles(
     table: FloatArray, need: float, unit: float, axes: FloatArray, point: FloatArray, row: NDArray[np.float32]
 ) -> None:
@@ -100,7 +100,7 @@ def _tell_of_obstacles(
             _tell_of_one(table[k], unit, axes, point, part)
 
 
-@njit(cache=True)
+@compiled_lazily()
 def _tell_of_one(obstacle: FloatArray, unit: float, axes: FloatArray, point: FloatArray, part: NDArray[np.float32]) -> None:
     """Fill all but the first of an obstacle's features, (15,)."""
     gx, gy, gz = point_gradient(obstacle, point[0], point[1], point[2])
@@ -119,7 +119,7 @@ def _tell_of_one(obstacle: FloatArray, unit: float, axes: FloatArray, point: Flo
         part[14] = sin_own * cos_two - cos_own * sin_two
 
 
-@njit(cache=True)
+@compiled_lazily()
 def add_residuals(
     need: float, leg_begin: IntArray, leg_end: IntArray, straight: FloatArray, residuals: NDArray[np.float32]
 ) -> FloatArray:

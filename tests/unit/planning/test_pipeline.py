@@ -83,7 +83,7 @@ def late(monkeypatch):
 @pytest.mark.parametrize(
     ("module", "name", "doing"),
     [
-        (pipeline, "compute_travel", "coming to the stage 'allocate'"),
+        (pipeline, "compute_travel", "finding ways among obstacles"),
         (finish, "decode", "making flights of the routes"),
         (finish, "deconflict", "keeping drones apart"),
         (finish, "certify", "judging the plan"),
