@@ -61,6 +61,7 @@ class JudgedCase:
     travel: Travel
     proof: Bound | None
     deadline: Deadline = NEVER
+    rounding: float = 0.0
 
     @cached_property
     def routes(self) -> list[list[int]]:
@@ -93,6 +94,15 @@ class JudgedCase:
     def states(self) -> list[tuple[FloatArray, FloatArray]]:
         """Every drone's position, velocity and acceleration where its pieces begin and end, each (K, 3, 3)."""
         return [piece_states(times, terms) for times, terms in self.curves]
+
+    def blur(self, drone: int) -> FloatArray:
+        """(K, 3) by how much the rounding of coefficients may move position, velocity and acceleration at a piece's end."""
+        times, terms = self.curves[drone]
+        powers, spans = np.arange(terms.shape[2]), np.diff(times)[:, None]
+        factors = np.stack([np.ones_like(powers), powers, powers * (powers - 1)])  # (3, D)
+        raised = np.stack([spans ** np.maximum(powers - order, 0) for order in range(3)], axis=1)  # (K, 3, D)
+        moved: FloatArray = math.sqrt(3.0) * self.rounding * (factors * raised).sum(axis=2)
+        return moved
 
     @property
     def makespan(self) -> float:

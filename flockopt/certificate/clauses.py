@@ -34,7 +34,7 @@ POSITION_TOLERANCE_M = 1e-6
 VELOCITY_TOLERANCE_MPS = 1e-4
 
 ACCELERATION_TOLERANCE_MPS2 = 1e-2
-STATE_TOLERANCES = (POSITION_TOLERANCE_M, VELOCITY_TOLERANCE_MPS, ACCELERATION_TOLERANCE_MPS2)
+STATE_TOLERANCES = np.array([POSITION_TOLERANCE_M, VELOCITY_TOLERANCE_MPS, ACCELERATION_TOLERANCE_MPS2])
 
 #: Visits may be this much out of order, and a drone that flies at the start may start this late.
 TIME_TOLERANCE_S = 1e-9
@@ -105,7 +105,8 @@ def _start(case: JudgedCase) -> Clause:
             _start_parked(worst, drone)
         else:
             firsts, lasts = case.states[i]
-            _start_flying(worst, drone, flight.curve, firsts[0], lasts[-1])
+            tolerances = STATE_TOLERANCES + case.blur(i)[[0, -1]]
+            _start_flying(worst, drone, flight.curve, firsts[0], lasts[-1], tolerances)
     return worst.clause("start", "fraction")
 
 
@@ -120,18 +121,20 @@ def _start_parked(worst: Worst, drone: Drone) -> None:
         worst.see(1.0 - away / VISIT_TOLERANCE_M, drone=drone.id, time=0.0, detail=detail)
 
 
-def _start_flying(worst: Worst, drone: Drone, curve: Curve, first: FloatArray, last: FloatArray) -> None:
-    """Its first and last position, velocity and acceleration, (3, 3) each."""
+def _start_flying(
+    worst: Worst, drone: Drone, curve: Curve, first: FloatArray, last: FloatArray, tolerances: FloatArray
+) -> None:
+    """Its first and last position, velocity and acceleration, (3, 3) each, and how far each may be off, (2, 3)."""
     wanted = (drone.start, drone.velocity, drone.acceleration)
     names = ("position", "velocity", "acceleration")
-    for name, seen, due, tolerance in zip(names, first, wanted, STATE_TOLERANCES, strict=True):
+    for name, seen, due, tolerance in zip(names, first, wanted, tolerances[0], strict=True):
         away = math.dist(seen, due)
         detail = f"drone {drone.id} begins with its {name} {away:g} off its start state"
         worst.see(1.0 - away / tolerance, drone=drone.id, time=curve.start_time, place=to_point(first[0]), detail=detail)
     if curve.start_time > TIME_TOLERANCE_S and any((*drone.velocity, *drone.acceleration)):
         detail = f"drone {drone.id} starts in motion, so its trajectory must begin at t = 0"
         worst.see(-1.0, drone=drone.id, time=curve.start_time, detail=detail)
-    for name, seen, tolerance in zip(names[1:], last[1:], STATE_TOLERANCES[1:], strict=True):
+    for name, seen, tolerance in zip(names[1:], last[1:], tolerances[1, 1:], strict=True):
         away = math.hypot(*seen)
         detail = f"drone {drone.id} ends with {name} {away:g}, not at rest"
         worst.see(1.0 - away / tolerance, drone=drone.id, time=curve.end_time, place=to_point(last[0]), detail=detail)
@@ -160,12 +163,13 @@ def _visits(case: JudgedCase) -> Clause:
 
 def _continuity(case: JudgedCase) -> Clause:
     worst = Worst()
-    for drone, (times, _), (firsts, lasts) in zip(case.scene.drones, case.curves, case.states, strict=True):
-        jumps = np.linalg.norm(firsts[1:] - lasts[:-1], axis=2) / STATE_TOLERANCES  # (K - 1, 3) in tolerances
+    for i, (drone, (times, _), (firsts, lasts)) in enumerate(zip(case.scene.drones, case.curves, case.states, strict=True)):
+        tolerances = STATE_TOLERANCES + 2.0 * case.blur(i)[:-1]  # (K - 1, 3)
+        jumps = np.linalg.norm(firsts[1:] - lasts[:-1], axis=2) / tolerances  # (K - 1, 3) in tolerances
         if jumps.size:
             piece, order = np.unravel_index(int(np.nan_to_num(jumps, nan=np.inf).argmax()), jumps.shape)
             quantity = ("position", "velocity", "acceleration")[order]
-            size = jumps[piece, order] * STATE_TOLERANCES[order]
+            size = jumps[piece, order] * tolerances[piece, order]
             detail = f"the {quantity} of drone {drone.id} jumps by {size:g} at breakpoint {piece + 1}"
             time, place = float(times[piece + 1]), to_point(lasts[piece, 0])
             worst.see(1.0 - float(jumps[piece, order]), drone=drone.id, time=time, place=place, detail=detail)

@@ -41,6 +41,7 @@ def certify(
     travel: Travel | None = None,
     bound: Bound | None = None,
     engine: str = "closed-form",
+    rounding: float = 0.0,
     deadline: Deadline = NEVER,
 ) -> Certificate:
     """Judge a plan.
@@ -51,6 +52,8 @@ def certify(
         travel: The scene's travel, if it is at hand; computed otherwise.
         bound: What proves the plan's lower bound, where its certificate does not hold that yet.
         engine: What finds the least clearance and separation: ``"closed-form"``, or ``"fcl"`` for python-fcl's distances.
+        rounding: How far each coefficient may be off, where it is known to only so many decimals: what that moves states by, at
+            the ends of pieces, is let pass by the clauses ``start`` and ``continuity``.
         deadline: When to give up.
 
     Raises:
@@ -65,7 +68,7 @@ def certify(
     proof = bound if bound is not None else plan.certificate.bound if plan.certificate is not None else None
     frame = Frame.of(scene.bounds)
     scene, plan = frame.near(scene), plan_into(frame, plan)
-    case = JudgedCase(scene, plan, compute_travel(scene) if travel is None else travel, proof, deadline)
+    case = JudgedCase(scene, plan, compute_travel(scene) if travel is None else travel, proof, deadline, rounding)
     judges = JUDGES | _in_space(engine)
     names = CLAUSES if not any(drone.has_abilities for drone in scene.drones) else (*CLAUSES, FLYABILITY)
     with np.errstate(over="ignore", invalid="ignore"):  # a hostile plan's overflows fail the clauses they are in

@@ -97,12 +97,21 @@ def _compiling(progress: StageLine, packages: Sequence[str]) -> Iterator[None]:
 def verify(options: argparse.Namespace) -> int:
     """Check a plan against its scene: 0 when every clause holds, 1 when not."""
     _check_inputs(options.scene, options.plan)
-    scene, result = _load_scene(options.scene), _load_plan(options.plan)
+    scene, is_trajectories = _load_scene(options.scene), os.path.isdir(options.plan) or options.plan.endswith(".csv")
+    result = None if is_trajectories else _load_plan(options.plan)
     from flockopt.certificate.judge import certify
 
     with StageLine() as progress, _compiling(progress, JUDGING):
-        certificate = certify(scene, result, engine=options.engine)
-    text.emit(text.certificate_report(certificate))
+        if result is not None:
+            text.emit(text.certificate_report(certificate := certify(scene, result, engine=options.engine)))
+        else:
+            from flockopt.outputs.devices.trajectories import load_trajectories
+            from flockopt.travel.compute import compute_travel
+
+            travel = compute_travel(scene)
+            result, rounding = load_trajectories(scene, travel, options.plan)
+            certificate = certify(scene, result, travel=travel, engine=options.engine, rounding=rounding)
+            text.emit(text.trajectories_report(scene, result, rounding, certificate))
     return 0 if certificate.certified else 1
 
 

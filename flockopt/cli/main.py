@@ -27,7 +27,8 @@ separations and the lower bound are computed anew, in continuous time, from the 
 
 examples:
   flockopt verify scene.json plan.json
-  flockopt verify scene.json plan.json --engine fcl    clearance and separation by python-fcl's distances"""
+  flockopt verify scene.json plan.json --engine fcl    clearance and separation by python-fcl's distances
+  flockopt verify scene.json fleet/                    other people's trajectories, DRONE.csv each (docs/export.md)"""
 
 SHOW_EXAMPLES = """examples:
   flockopt show scene.json -o scene.png
@@ -91,7 +92,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_plan(commands)
     verify = _command(commands, "verify", "check a plan anew, clause by clause", VERIFY_EXAMPLES, work.verify)
     verify.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file, or - for stdin")
-    verify.add_argument("plan", metavar="PLAN", help="a flockopt.plan/1 file, or - for stdin")
+    verify.add_argument(
+        "plan", metavar="PLAN", help="a flockopt.plan/1 file, - for stdin, or trajectories: a CSV file, or a folder of them"
+    )
     verify.add_argument(
         "--engine", default="closed-form", metavar="NAME", choices=("closed-form", "fcl"),
         help="what measures clearance and separation: closed-form or fcl (default: closed-form)",

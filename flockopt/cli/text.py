@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from flockopt.outputs.devices.export import Export
     from flockopt.scene import Scene
 
-__all__ = ["certificate_report", "emit", "export_report", "let_go", "plan_report", "printable"]
+__all__ = ["certificate_report", "emit", "export_report", "let_go", "plan_report", "printable", "trajectories_report"]
 
 
 def emit(text: str, *, aside: bool = False) -> None:
@@ -103,6 +103,14 @@ def certificate_report(certificate: Certificate) -> str:
         tightest = "; ".join(words for words in (clause.where, clause.detail) if words)
         rows.append((clause.name, "holds" if clause.holds else "FAILS", _margin(clause), tightest))
     return table(("clause", "", "margin", "tightest"), rows, right=(2,)) + "\n\n" + _verdict(certificate)
+
+
+def trajectories_report(scene: Scene, plan: Plan, rounding: float, certificate: Certificate) -> str:
+    """What trajectories were taken for, and the certificate."""
+    words = f"{len(plan.flights)} trajectories; each task is served by the drone that is first at it"
+    if rounding:
+        words += f"; coefficients are known to {rounding:g}: jumps that this explains are let pass"
+    return "\n\n".join([words, _drone_table(scene, plan), certificate_report(certificate)])
 
 
 def export_report(plan: Plan, path: str, outcome: Export) -> str:

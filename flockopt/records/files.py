@@ -10,7 +10,7 @@ from typing import Any
 
 from flockopt.errors import FieldError
 
-__all__ = ["check_output", "parse_json", "read_json", "write_whole"]
+__all__ = ["check_output", "parse_json", "read_json", "read_text", "write_whole"]
 
 Error = type[FieldError]
 
@@ -36,14 +36,17 @@ def parse_json(error: Error, content: str, source: str) -> Any:
 
 def read_json(error: Error, path: str | Path) -> Any:
     """The JSON document in a file; whatever keeps it from being read becomes a named error."""
-    path = Path(path)
+    return parse_json(error, read_text(error, path), str(path))
+
+
+def read_text(error: Error, path: str | Path) -> str:
+    """The text of a file in UTF-8; whatever keeps it from being read becomes a named error."""
     try:
-        content = path.read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError as fault:
         raise error("", f"{path} is not UTF-8 text ({fault.reason})", "the file must be UTF-8", "save it as UTF-8") from None
     except OSError as fault:
         raise error("", f"{path} cannot be read ({fault.strerror})", "it must be a readable file", "check the path") from None
-    return parse_json(error, content, str(path))
 
 
 def check_output(error: Error, path: str | Path) -> Path:

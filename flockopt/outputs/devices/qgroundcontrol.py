@@ -37,6 +37,10 @@ PX4, QUADROTOR, RELATIVE_ALTITUDE, GROUND_SPEED = 12, 2, 1, 1
 #: Straight lines between way points leave the curve by at most half the scene's clearance, within these limits.
 FINEST_M, COARSEST_M = 0.02, 0.1
 
+#: A waypoint counts as reached within the other half of the clearance, within these limits: 0 would leave it to the autopilot,
+#: whose own radius may be ten metres.
+NEAREST_M, FARTHEST_OFF_M = 0.1, 1.0
+
 #: Between looks at the curve when way points are placed.
 SAMPLE_S = 0.02
 
@@ -86,7 +90,8 @@ def mission(scene: Scene, origin: Origin, drone: Drone, flight: Flight) -> dict[
     """
     first = _point(flight.curve(flight.curve.start_time))
     last = _point(flight.curve(flight.curve.end_time))
-    items = _Items(origin, geographic(origin, (first[0], first[1], 0.0)))
+    acceptance_m = min(max(scene.clearance / 2, NEAREST_M), FARTHEST_OFF_M)
+    items = _Items(origin, geographic(origin, (first[0], first[1], 0.0)), acceptance_m)
     items.go(TAKEOFF, first)
     if flight.curve.start_time > 0.0:
         items.go(WAYPOINT, first, hold_s=flight.curve.start_time)
@@ -122,18 +127,19 @@ def mission(scene: Scene, origin: Origin, drone: Drone, flight: Flight) -> dict[
 class _Items:
     """A mission's items as they are added."""
 
-    def __init__(self, origin: Origin, home: Point) -> None:
-        self.origin, self.home = origin, home
+    def __init__(self, origin: Origin, home: Point, acceptance_m: float) -> None:
+        self.origin, self.home, self.acceptance_m = origin, home, acceptance_m
         self.items: list[dict[str, Any]] = []
         self._speed = 0.0
 
     def go(self, command: int, place: Point, hold_s: float = 0.0) -> None:
-        """Go to a place; a waypoint's first parameter is the time to hold there."""
+        """Go to a place; a waypoint's first parameters are the time to hold there, and within what it counts as reached."""
         latitude, longitude, altitude = geographic(self.origin, place)
         height = round(altitude - self.home[2], 4)
         where = [round(latitude, 9), round(longitude, 9), height]
         shown = {"AMSLAltAboveTerrain": None, "Altitude": height, "AltitudeMode": RELATIVE_ALTITUDE}
-        self._add(command, FRAME_RELATIVE, [round(hold_s, 3), 0, 0, None, *where], shown)
+        radius_m = round(self.acceptance_m, 3) if command == WAYPOINT else 0
+        self._add(command, FRAME_RELATIVE, [round(hold_s, 3), radius_m, 0, None, *where], shown)
 
     def set_speed(self, speed: float) -> None:
         """Fly at this speed, metres per second, from here on."""

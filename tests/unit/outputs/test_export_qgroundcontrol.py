@@ -69,6 +69,8 @@ def check_format(record):
             assert item["AltitudeMode"] == 1
             assert abs(item["params"][4]) <= 90
             assert abs(item["params"][5]) <= 180
+        if item["command"] == COMMANDS["waypoint"]:  # 0 would leave it to the autopilot, which may take ten metres
+            assert 0.1 <= item["params"][1] <= 1.0
 
 
 def places(scene, record):
