@@ -2,11 +2,11 @@
 
     python -m benchmarks.replanning --events 1000 --seed 0 --out out/replanning
 
-Flies certified plans and strikes them with seeded events: a task added, one removed, a drone lost, or all of it at
-once; each flight takes several, each replanned from the plan before. Writes ``replanning.csv`` (a row an event),
-``summary.md`` and ``replanning.png``. `cost_ratio` is the travel of the new bundles over that of a long search from the
-same situation with nothing to be kept; `churn` is the share of open tasks that change drones. `seconds` pass on the clock,
-`cpu_seconds` are those of the processor, which other work on the machine disturbs less.
+Flies certified plans and strikes them with seeded events: nothing at all, a task added, one removed, a drone lost, or all of
+it at once; each flight takes several, each replanned from the plan before. ``--families delft`` flies a city block. Writes
+``replanning.csv`` (a row an event), ``summary.md`` and ``replanning.png``. `cost_ratio` is the travel of the new bundles over
+that of a long search from the same situation with nothing to be kept; `churn` is the share of open tasks that change drones.
+`seconds` pass on the clock, `cpu_seconds` are those of the processor, which other work on the machine disturbs less.
 """
 
 from __future__ import annotations
@@ -14,14 +14,16 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.planning import CITIES, PlanningCase
 from benchmarks.report import CsvRows, Record, benchmark_parser, header, markdown_table, spread, tell, write_summary
-from flockopt import Changes, Scene, Task, compute_travel, generate, plan, refine_bundles, replan
+from flockopt import Changes, Scene, Task, compute_travel, plan, refine_bundles, replan
 from flockopt.certificate import Plan
-from flockopt.planning.replan import Replanned
+from flockopt.planning.replan import FREEZE_S, Replanned
 from flockopt.scene.families.layouts import FAMILIES
 from sim.mission.events import random_task
 
@@ -29,9 +31,9 @@ __all__ = ["main"]
 
 COLUMNS = (
     "scene", "family", "seed", "event", "kind", "time", "status", "strategy", "open", "served", "unserved",
-    "churn", "cost", "scratch_cost", "cost_ratio", "seconds", "cpu_seconds",
+    "churn", "cost", "scratch_cost", "cost_ratio", "seconds", "cpu_seconds", "plan_seconds",
 )  # fmt: skip
-KINDS = ("added", "removed", "lost", "mixed")
+KINDS = ("none", "added", "removed", "lost", "mixed")
 
 #: Events that strike one flight before another scene is taken.
 EVENTS_A_FLIGHT = 4
@@ -65,7 +67,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--tracking-margin", type=float, default=0.0, metavar="M", help="room for tracking errors, metres (default 0)"
     )
-    parser.add_argument("--families", nargs="+", default=list(FAMILIES), choices=list(FAMILIES), help="scenes (default all)")
+    parser.add_argument(
+        "--families", nargs="+", default=list(FAMILIES), choices=[*FAMILIES, *CITIES], help="scenes (default all)"
+    )
     return parser
 
 
@@ -73,7 +77,8 @@ def _events(options: argparse.Namespace, family: str, count: int) -> Iterator[Re
     """CsvRows of ``count`` events that strike flights through scenes of one family."""
     seed, margin_m = options.seed, options.tracking_margin
     while count > 0:
-        scene = generate(family, drones=options.drones, tasks=options.tasks, seed=seed)
+        case = PlanningCase(family, options.drones, options.tasks, seed)
+        scene = case.scene()
         flying, rng = plan(scene, planner="classical", seed=seed, tracking_margin_m=margin_m), np.random.default_rng([seed, 7])
         for event in range(min(EVENTS_A_FLIGHT, count)):
             kind = KINDS[int(rng.integers(len(KINDS)))]
@@ -83,11 +88,12 @@ def _events(options: argparse.Namespace, family: str, count: int) -> Iterator[Re
             answer = replan(scene, flying, now_s, changes, seed=seed, tracking_margin_m=margin_m)
             cpu_s = time.process_time() - cpu
             head = {"scene": scene.sha256[:12], "family": family, "seed": seed, "event": event, "kind": kind, "time": now_s}
-            yield head | _measures(flying, answer) | {"seconds": answer.seconds, "cpu_seconds": cpu_s}
+            times = {"seconds": answer.seconds, "cpu_seconds": cpu_s, "plan_seconds": flying.timing.get("total", np.nan)}
+            yield head | _measures(flying, answer) | times
             count -= 1
             if answer.plan.status != "certified" or not answer.scene.num_tasks:
                 break
-            scene, flying = answer.scene, answer.plan
+            scene, flying = answer.scene, replace(answer.plan, timing=flying.timing)
         seed += 1
 
 
@@ -133,8 +139,37 @@ def _summary(records: list[Record]) -> str:
         table.append([family, f"{certified}/{len(group)}", *times, *strategies, unserved, churn, ratio])
     columns = ["scenes", "certified", "p50 ms", "p95 ms", "p50 CPU ms", "p95 CPU ms", "new", "old", "appended", "kept"]
     columns += ["unserved", "churn", "cost ratio"]
+    kinds = [
+        [family, kind, *_by_kind(records, family, kind)]
+        for family in dict.fromkeys(r["family"] for r in records)
+        for kind in KINDS
+    ]
+    heads = [
+        "scenes",
+        "event",
+        "events",
+        "p50 ms",
+        "p95 ms",
+        f"over the freeze of {FREEZE_S * 1e3:g} ms",
+        "of the first plan's time",
+    ]
     note = "New to kept: how the certified plan came about. Unserved tasks are listed with their reason in each answer.\n\n"
-    return header("Replanning", "benchmarks.replanning") + "\n" + note + markdown_table(columns, table)
+    return (
+        header("Replanning", "benchmarks.replanning")
+        + "\n"
+        + note
+        + markdown_table(columns, table)
+        + "\n"
+        + markdown_table(heads, kinds)
+    )
+
+
+def _by_kind(records: list[Record], family: str, kind: str) -> list[object]:
+    group = [record for record in records if (record["family"], record["kind"]) == (family, kind)]
+    seconds = [record["seconds"] for record in group]
+    late = sum(second > FREEZE_S for second in seconds)
+    shares = [record["seconds"] / record["plan_seconds"] for record in group if record["plan_seconds"] > 0.0]
+    return [len(group), *spread([second * 1e3 for second in seconds]), late, spread(shares)[0]]
 
 
 def _plot(records: list[Record], path: Path) -> None:

@@ -21,7 +21,7 @@ from flockopt.geometry.continuous import farthest_from
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone
 
-__all__ = ["CLEARANCE_TOLERANCE_M", "JUDGES", "LIMIT_TOLERANCE", "SEPARATION_TOLERANCE_M"]
+__all__ = ["CLEARANCE_TOLERANCE_M", "COST_TOLERANCE", "JUDGES", "LIMIT_TOLERANCE", "SEPARATION_TOLERANCE_M"]
 
 #: A drone is at a task, or at its end, within this.
 VISIT_TOLERANCE_M = 1e-3

@@ -14,7 +14,7 @@ from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.bundles import Bound
 from flockopt.certificate.case import JudgedCase, Worst, check_names
 from flockopt.certificate.certificate import CLAUSES, FLYABILITY, Certificate, Clause
-from flockopt.certificate.clauses import JUDGES, _in_space
+from flockopt.certificate.clauses import COST_TOLERANCE, JUDGES, _in_space
 from flockopt.certificate.engines import ENGINES
 from flockopt.certificate.placement import certificate_from, plan_into
 from flockopt.certificate.plan_file import Plan
@@ -68,13 +68,24 @@ def certify(
     proof = bound if bound is not None else plan.certificate.bound if plan.certificate is not None else None
     frame = Frame.of(scene.bounds)
     scene, plan = frame.near(scene), plan_into(frame, plan)
-    case = JudgedCase(scene, plan, compute_travel(scene) if travel is None else travel, proof, deadline, rounding)
+    case = JudgedCase(scene, plan, travel or _travel(scene, plan, deadline), proof, deadline, rounding)
     judges = JUDGES | _in_space(engine)
     names = CLAUSES if not any(drone.has_abilities for drone in scene.drones) else (*CLAUSES, FLYABILITY)
     with np.errstate(over="ignore", invalid="ignore"):  # a hostile plan's overflows fail the clauses they are in
         wild = _wild_drone(case)
         clauses = (judges[name](case) if wild is None or name not in IN_SPACE else _wild(name, wild) for name in names)
         return certificate_from(frame, Certificate(tuple(clauses), proof))
+
+
+def _travel(scene: Scene, plan: Plan, deadline: Deadline) -> Travel:
+    """The travel that a plan is costed by: where no bound is claimed, its routes' legs alone if they account for its cost."""
+    if plan.cost.lower_bound is None and scene.num_tasks:
+        number = {task.id: index for index, task in enumerate(scene.tasks)}
+        routes = [[number[task] for task in plan.routes.get(drone.id, ())] for drone in scene.drones]
+        legs = compute_travel(scene, routes=routes, deadline=deadline)
+        if abs(legs.total(routes) - plan.cost.travel) <= COST_TOLERANCE * max(plan.cost.travel, 1.0):
+            return legs
+    return compute_travel(scene, deadline=deadline)
 
 
 def _wild_drone(case: JudgedCase) -> str | None:

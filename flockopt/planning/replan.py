@@ -34,7 +34,8 @@ from flockopt.planning.workplace import Workplace
 from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
-from flockopt.travel.compute import compute_travel
+from flockopt.travel.compute import compute_travel, pairs_on
+from flockopt.travel.travel import places, straight_travel
 
 __all__ = ["Changes", "Replanned", "replan"]
 
@@ -49,6 +50,13 @@ ITERATIONS = 600
 
 #: A new allocation must save this share of the travel to be worth changing what drones are about to do.
 WORTH_CHANGING = 0.01
+
+#: Up to so many obstacles, and pairs of places times obstacles, all distances are found; beyond, those that matter, and no
+#: bound is claimed.
+FEW_OBSTACLES, SMALL_WORK = 80, 60_000
+
+#: How many of the places nearest to an open task, by the straight line, the true distance to it is found of.
+NUM_NEAR = 12
 
 #: Strategies that may lead a drone another way although its tasks are the same.
 ANEW = ("new", "old")
@@ -119,8 +127,7 @@ def replan(
     workplace = Workplace.of(situation.scene)
     situation = replace(situation, scene=workplace.scene, flights=flights_into(workplace.frame, situation.flights))
     hovering = {*airborne, *plan.flights}
-    travel = compute_travel(situation.scene)
-    for strategy, bundles in _proposals(situation, travel, settings.seed):
+    for strategy, bundles, travel in _proposals(situation, settings.seed, changes):
         left, result, unserved = _finished(situation, travel, bundles, strategy, settings.tracking_margin_m, hovering)
         if result.status == Status.CERTIFIED:
             break
@@ -170,20 +177,59 @@ def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_
     return None
 
 
-def _proposals(situation: Situation, travel: Travel, seed: int) -> Iterator[tuple[str, Bundles]]:
-    """Bundles to try, the most wanted first; the old ones, untouched, come last."""
+def _proposals(situation: Situation, seed: int, changes: Changes) -> Iterator[tuple[str, Bundles, Travel | None]]:
+    """Bundles to try, the most wanted first, each with the travel they are costed by, None for that of their own legs alone.
+
+    The old ones, untouched, come last; they are all there is where nothing has happened.
+    """
+    scene, served = situation.scene, {task for route in situation.routes for task in route}
+    if changes == Changes() and len(served) == scene.num_tasks:
+        yield "kept", Bundles(situation.routes), None
+    num_obstacles, num_places = len(scene.obstacles), scene.num_tasks + scene.num_drones
+    is_small = num_obstacles <= FEW_OBSTACLES and scene.num_tasks * num_places * num_obstacles <= SMALL_WORK
+    travel = compute_travel(scene) if is_small else _rough_travel(situation)
+    known = travel if is_small else None
     old = _inserted(situation, travel, seed)
-    new = refine_bundles(situation.scene, travel=travel, iterations=ITERATIONS, seed=seed, warm_start=old)
-    saves = travel.total(new.routes) < (1.0 - WORTH_CHANGING) * travel.total(old.routes)
-    drops = _left_out(new) & situation.earlier - _left_out(old)
-    if not drops and (saves or len(new.unserved) < len(old.unserved)):
-        yield "new", new
-    yield "old", old
-    yield "appended", _appended(situation, travel)
-    served = {task for route in situation.routes for task in route}
+    new = refine_bundles(scene, travel=travel, iterations=ITERATIONS, seed=seed, warm_start=old)
+
+    def metres(bundles: Bundles) -> float:
+        return (known or compute_travel(scene, routes=bundles.routes)).total(bundles.routes)
+
+    old_m, drops = metres(old), _left_out(new) & situation.earlier - _left_out(old)
+    if not drops and (len(new.unserved) < len(old.unserved) or travel.total(new.routes) < travel.total(old.routes)):
+        new_m = metres(new)
+        if np.isfinite(new_m) and (new_m < (1.0 - WORTH_CHANGING) * old_m or len(new.unserved) < len(old.unserved)):
+            yield "new", new, known
+    if np.isfinite(old_m):
+        yield "old", old, known
+    appended = _appended(situation, travel)
+    if np.isfinite(metres(appended)):
+        yield "appended", appended, known
     reason = "no certified plan that serves it was found from flight; ask again later"
-    left = tuple((task, reason) for task in range(situation.scene.num_tasks) if task not in served)
-    yield "kept", Bundles(situation.routes, left)
+    left = tuple((task, reason) for task in range(scene.num_tasks) if task not in served)
+    yield "kept", Bundles(situation.routes, left), known
+
+
+def _rough_travel(situation: Situation) -> Travel:
+    """Distances in which those along the old routes, and of open tasks to what is near, are true; all others are straight."""
+    scene = situation.scene
+    true = pairs_on(scene, situation.routes)
+    unserved = sorted(set(range(scene.num_tasks)) - {task for route in situation.routes for task in route})
+    where = places(scene)
+    for task in unserved:
+        away = np.nan_to_num(np.linalg.norm(where - where[task], axis=1), nan=np.inf)
+        near = np.argsort(away, kind="stable")[: NUM_NEAR + 1]
+        true[task, near] = true[near, task] = True
+    found, straight = compute_travel(scene, wanted=true), straight_travel(scene)
+    tasks, starts = slice(scene.num_tasks), slice(scene.num_tasks, scene.num_tasks + scene.num_drones)
+    ends = slice(starts.stop, None)
+    return Travel(
+        np.where(true[starts, tasks], found.start_task, straight.start_task),
+        np.where(true[tasks, tasks], found.task_task, straight.task_task),
+        np.where(true[tasks, ends].T, found.task_end, straight.task_end),
+        np.where(true[starts, ends].diagonal(), found.start_end, straight.start_end),
+        found.drone_class,
+    )
 
 
 def _inserted(situation: Situation, travel: Travel, seed: int) -> Bundles:
@@ -237,7 +283,7 @@ def _stops_at_last_task(situation: Situation, index: int) -> bool:
 
 
 def _finished(
-    situation: Situation, travel: Travel, bundles: Bundles, strategy: str, margin_m: float, airborne: Collection[str]
+    situation: Situation, travel: Travel | None, bundles: Bundles, strategy: str, margin_m: float, airborne: Collection[str]
 ) -> tuple[Scene, Plan, dict[str, str]]:
     """The scene of what the bundles serve, the plan for it, certified or not, and what is left out."""
     scene = situation.scene
@@ -246,9 +292,10 @@ def _finished(
         kept = [j for j, task in enumerate(scene.tasks) if task.id not in unserved]
         place = {j: k for k, j in enumerate(kept)}
         scene = scene.replace(tasks=tuple(scene.tasks[j] for j in kept))
-        travel = compute_travel(scene)
+        travel = None if travel is None else compute_travel(scene)
         bundles = Bundles(tuple(tuple(place[j] for j in route) for route in bundles))
-    proof = lower_bound(scene, travel, bound="fast")
+    proof = None if travel is None else lower_bound(scene, travel, bound="fast")
+    travel = travel or compute_travel(scene, routes=bundles.routes)
     source = _FlightsFromSwap(situation, bundles, strategy)
     result = finish(scene, travel, bundles, source, planner="replan", proof=proof, margin_m=margin_m, airborne=airborne)
     return scene, result, unserved

@@ -45,7 +45,10 @@ def merged_obstacles(obstacles: tuple[Obstacle, ...]) -> tuple[Obstacle, ...]:
     Merging what is merged changes nothing.
     """
     kept: dict[int, Obstacle] = {index: obstacle for index, obstacle in enumerate(obstacles) if not isinstance(obstacle, Box)}
-    for yaw in {obstacle.yaw for obstacle in obstacles if isinstance(obstacle, Box)}:
+    yaws = {obstacle.yaw for obstacle in obstacles if isinstance(obstacle, Box)}
+    if len(kept) + len(yaws) > WORTH_SHARE * len(obstacles):  # a box of each yaw is left at least
+        return obstacles
+    for yaw in yaws:
         numbered = [(index, box) for index, box in enumerate(obstacles) if isinstance(box, Box) and box.yaw == yaw]
         kept |= {numbered[rank][0]: box for rank, box in _blocks([box for _, box in numbered], yaw)}
     return tuple(kept[index] for index in sorted(kept)) if len(kept) <= WORTH_SHARE * len(obstacles) else obstacles

@@ -15,7 +15,7 @@ from flockopt.scene.merging import with_merged_obstacles
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 from flockopt.travel.travel import Paths, Travel, places, straight_travel
 
-__all__ = ["compute_travel", "roomy_needs"]
+__all__ = ["compute_travel", "pairs_on", "roomy_needs"]
 
 
 #: How much farther from obstacles than the scene asks paths keep, where the places to reach leave that room,
@@ -29,7 +29,13 @@ MARGIN_SHARE = 0.05
 SMALLER_MARGINS = (0.2, 0.02, 0.0)
 
 
-def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = None, deadline: Deadline = NEVER) -> Travel:
+def compute_travel(
+    scene: Scene,
+    *,
+    routes: Sequence[Sequence[int]] | None = None,
+    wanted: NDArray[np.bool_] | None = None,
+    deadline: Deadline = NEVER,
+) -> Travel:
     """Shortest any-angle distances and paths that keep clear of obstacles and within bounds.
 
     Each obstacle is kept at ``radius + clearance`` and a margin of up to `MOST_MARGIN_M`, less where a start, an
@@ -40,6 +46,7 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
         scene: The scene.
         routes: Where only the legs of these routes are wanted, one route of task indices a drone; what other distances
             there are is then left open.
+        wanted: The same by pairs of places, (P, P) symmetric, as in `places` and `pairs_on`.
         deadline: When to give up.
 
     Raises:
@@ -56,7 +63,7 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
     )  # fmt: skip
     points = places(scene)
     gaps = distances(scene.obstacle_table, points)  # (P, K)
-    wanted = None if routes is None else _pairs_on(scene, routes)
+    wanted = wanted if routes is None else pairs_on(scene, routes)
     legs = [
         _fill_class(scene, travel, points, gaps, index, float(radius), wanted, deadline) for index, radius in enumerate(radii)
     ]
@@ -67,7 +74,7 @@ def compute_travel(scene: Scene, *, routes: Sequence[Sequence[int]] | None = Non
     return Travel(travel.start_task, travel.task_task, travel.task_end, travel.start_end, travel.drone_class, paths)
 
 
-def _pairs_on(scene: Scene, routes: Sequence[Sequence[int]]) -> NDArray[np.bool_]:
+def pairs_on(scene: Scene, routes: Sequence[Sequence[int]]) -> NDArray[np.bool_]:
     """Which pairs of places (as in `places`) follow each other on the routes, (P, P)."""
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
     wanted = np.zeros((num_tasks + 2 * num_drones,) * 2, dtype=np.bool_)

@@ -1,8 +1,8 @@
 """Other people's trajectories as a plan that can be judged: CSV files of polynomials, as Crazyswarm2 and others fly them.
 
 A file holds one drone's pieces, a row each of 33 columns: its duration, then eight coefficients each of x, y, z and yaw. All
-start at t = 0, in the scene's coordinates. Such files do not say who serves what: a task is served by the drone that is first at it,
-within the judge's millimetre, for as long as its service takes. What they cost is worked out from what they fly.
+start at t = 0, in the scene's coordinates. Such files do not say who serves what: a task is served by the drone that is first
+at it, within the judge's millimetre, for as long as its service takes. What they cost is worked out from what they fly.
 """
 
 from __future__ import annotations
