@@ -72,6 +72,8 @@ bench: $(READY)  ## run every benchmark on a few small scenes
 	$(RUN) -m benchmarks.optimality_gap --scenes 2 --seed 0 --sizes 4x8 --methods greedy,search-5ms,lp,exact --out out/bench/gap
 	$(RUN) -m benchmarks.public_instances --data benchmarks/data/mdovrp-val-50.npz --instances 2 --out out/bench/public
 	$(RUN) -m benchmarks.trajectories --scenes 2 --seed 0 --size 3x6 --out out/bench/trajectories
+	$(RUN) -m benchmarks.audit --scenes 10 --seed 0 --out out/bench/audit
+	$(RUN) -m benchmarks.deadlines --scenes 3 --seed 0 --limits 0.3 1 --interrupts 1 --out out/bench/deadlines
 	$(RUN) -m benchmarks.replanning --events 4 --drones 4 --tasks 8 --families forest city --out out/bench/replanning
 	$(call flying,$(RUN) -m benchmarks.teacher_ablation --scenes 2 --seed 0 --drones 4 --tasks 8 --families forest city --out out/bench/teacher)
 	$(RUN) -m benchmarks.student_ablation --scenes 1 --seed 0 --out out/bench/student

@@ -196,3 +196,14 @@ def test_without_a_compiler_there_is_nothing_to_compile():
     command = [sys.executable, "-m", "flockopt", "compile"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("nothing is compiled where NUMBA_DISABLE_JIT is set\n", "")
+
+
+def test_no_entry_hands_a_record_back_to_python():
+    """To make one, Python code would run inside compiled code, which an interrupt from the keyboard crashes."""
+
+    def holds_record(kind):
+        return isinstance(kind, types.BaseNamedTuple) or (isinstance(kind, types.BaseTuple) and any(map(holds_record, kind)))
+
+    for name, entry in entries_of(EVERYTHING).items():
+        entry.compile()
+        assert not any(holds_record(signature.return_type) for signature in entry.nopython_signatures), name

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flockopt import Cylinder, SceneError, SettingsError, Task, certify, generate, plan, replan
+from flockopt import Cylinder, Scene, SceneError, SettingsError, Task, certify, generate, plan, replan
 from flockopt.planning import replan as replan_module
 from flockopt.planning.replan import Changes
 from tests.flights import drone, make_scene
@@ -255,3 +255,33 @@ def test_a_bad_new_task_is_named_by_its_id(added, words):
     scene = make_scene([drone(0, (1, 5, 1), 2)], [(2, 5, 1), (8, 9, 3)])
     with pytest.raises(SceneError, match=words):
         replan(scene, plan(scene, planner="classical"), 0.0, Changes(added=(added,)))
+
+
+def test_where_nothing_has_happened_the_flights_go_on_and_no_bound_is_claimed(flying):
+    scene, old = flying
+    answer = replan(scene, old, 1.0, Changes())
+    assert answer.strategy == "kept"
+    assert answer.plan.status == "certified"
+    assert answer.plan.cost.lower_bound is None
+    assert certify(answer.scene, answer.plan).certified
+    assert served(answer) == open_tasks(scene, old, answer.swap_s)
+    splice_is_smooth(scene, old, answer)
+
+
+def test_among_many_obstacles_only_ways_that_matter_are_found_and_verify_agrees(monkeypatch):
+    scene = Scene.load("examples/scenes/delft.json")
+    old, asked = plan(scene, planner="classical"), []
+    compute = replan_module.compute_travel
+    monkeypatch.setattr(replan_module, "compute_travel", lambda *a, **k: asked.append(k) or compute(*a, **k))
+    place = scene.tasks[0].position
+    answer = replan(scene, old, 2.0, Changes(added=(Task("new", (place[0] + 3.0, place[1] + 2.0, place[2])),)))
+    assert answer.plan.status == "certified"
+    assert served(answer) == open_tasks(scene, old, answer.swap_s) | {"new"}
+    assert asked and all("routes" in keywords or "wanted" in keywords for keywords in asked)
+    assert certify(answer.scene, answer.plan).certified
+    assert answer.plan.cost.travel == pytest.approx(compute(answer.scene).total(_indices(answer)), rel=1e-6)
+
+
+def _indices(answer):
+    number = {task.id: index for index, task in enumerate(answer.scene.tasks)}
+    return [[number[task] for task in answer.plan.routes.get(drone.id, ())] for drone in answer.scene.drones]
