@@ -1,6 +1,6 @@
 """Compiling what this machine has not compiled yet: by as many processes as there are cores, and with word of progress.
 
-Numba keeps what it compiles on disk, so this happens once for a machine and a version. `compiling` watches for the first
+Compiled code is kept on disk (`flockopt.batches.kept`), so this happens once for a machine. `compiling` watches for the first
 function of flockopt that is not there. Then processes of their own compile all of them, each handed one after another that
 shares no uncompiled function with what the others are at (both would compile it), and the work that was watched goes on with
 what they left on disk. Where all is there, nothing is asked of the disk and no process is started.
@@ -19,6 +19,8 @@ from typing import IO, Any, Self
 
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
+
+from flockopt.batches.kept import place
 
 __all__ = ["compiling", "functions_under", "num_cores", "serve"]
 
@@ -99,7 +101,7 @@ class _Watch(event.Listener):  # type: ignore[misc]
 
     def _share(self, under: Mapping[str, set[str]]) -> None:
         self._count(set())
-        if num_cores() > 1 and sys.executable:
+        if num_cores() > 1 and sys.executable and place() is not None:  # they hand it over on disk
             # where no process can be started, this one does it all
             with suppress(OSError), _Processes(self._command, under) as processes:
                 for done in processes.progress():
