@@ -120,7 +120,8 @@ def _interrupted(command: list[str], after_s: float, target: Path) -> Record:
     process.send_signal(signal.SIGINT)
     _, words = process.communicate()
     seconds = time.perf_counter() - began
-    clean = process.returncode in (0, INTERRUPTED) and "Traceback" not in words and seconds <= END_S and _is_whole(target)
+    ended = process.returncode in (0, INTERRUPTED, -signal.SIGINT)  # by the signal itself where Python begins or ends
+    clean = ended and "Traceback" not in words and seconds <= END_S and _is_whole(target)
     return {"after_s": after_s, "status": process.returncode, "seconds": seconds, "is_clean": clean}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
 from flockopt.batches.compiled import FLOATS_2, INTEGERS_1, INTEGERS_2, compiled_for, writable
-from flockopt.batches.deadline import NEVER, Deadline
+from flockopt.batches.deadline import NEVER, Deadline, heard
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, free_space
 from flockopt.geometry.kernels import segment_length
 from flockopt.records.arrays import FloatArray
@@ -94,7 +95,9 @@ class Roadmap:
         parts, used = [], 0
         for begin, end in deadline.slices(len(firsts) - 1, DOING):
             group = pairs[firsts[begin] : firsts[end]]
-            *known, begins, counts, chains = _chains(self._space, features, points, seen, sight, group)
+            search = partial(_chains, self._space, features, points, seen, sight, group)
+            # the first origins find out who sees whom, which takes long among many obstacles
+            *known, begins, counts, chains = search() if deadline.is_never else heard(search, deadline=deadline, doing=DOING)
             sight = Sight(*known)
             parts.append((begins + used, counts, chains))
             used += len(chains)
@@ -143,7 +146,9 @@ def _blocked(space: FreeSpace, points: FloatArray, pairs: NDArray[np.int64], dea
     return np.concatenate([np.empty(0, dtype=np.bool_), *parts])
 
 
-@compiled_for(FREE_SPACE, FEATURES, FLOATS_2, types.Array(types.uint8, 2, "C"), SIGHT, INTEGERS_2, error_model="numpy")
+@compiled_for(
+    FREE_SPACE, FEATURES, FLOATS_2, types.Array(types.uint8, 2, "C"), SIGHT, INTEGERS_2, error_model="numpy", nogil=True
+)
 def _chains(
     space: FreeSpace, features: Features, points: FloatArray, seen: NDArray[np.uint8], sight: Sight, pairs: NDArray[np.int64]
 ) -> tuple[NDArray[Any], ...]:

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from flockopt.batches import cp_sat
 from flockopt.batches.deadline import NEVER, Deadline
 from flockopt.errors import MissingExtra
 from flockopt.flights import Curve, Flight, Visit
@@ -111,7 +112,9 @@ class TimedFleet:
         return None if self._scheduled() else self._one_after_another()
 
     def _scheduled(self) -> bool:
-        """Delay flights as the scheduling model says; False where it finds nothing or is not installed."""
+        """Delay flights as the scheduling model says; False where it finds nothing, is not installed, or there is no time for it."""
+        if not cp_sat.is_at_hand(self.deadline):
+            return False
         longest = max(float(curve[0][-1]) for curve in self.curves)
         step = self._delay_step(longest)
         waits = [self.moves(drone) and not self._in_motion(drone) for drone in range(len(self.curves))]
