@@ -112,7 +112,7 @@ class TimedFleet:
         return None if self._scheduled() else self._one_after_another()
 
     def _scheduled(self) -> bool:
-        """Delay flights as the scheduling model says; False where it finds nothing, is not installed, or there is no time for it."""
+        """Delay flights as the scheduling model says; False where that finds nothing, is not installed, or there is no time."""
         if not cp_sat.is_at_hand(self.deadline):
             return False
         longest = max(float(curve[0][-1]) for curve in self.curves)
