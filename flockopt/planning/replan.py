@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from flockopt.batches.deadline import Deadline, OutOfTime
 from flockopt.bundles import Bundles
 from flockopt.bundles.bounds.bounds import lower_bound
 from flockopt.bundles.refine import refine_bundles
@@ -27,7 +28,7 @@ from flockopt.flights import Flight
 from flockopt.flights.apart.deconflict import Deconflicted
 from flockopt.flights.decode import fly
 from flockopt.flights.waypoints import SAME_POINT_M, Waypoints, waypoints_from_paths
-from flockopt.planning.finish import Clock, finish
+from flockopt.planning.finish import Clock, draft, finish
 from flockopt.planning.handover import Changes, Situation, check_added, hand_over
 from flockopt.planning.settings import PlanSettings
 from flockopt.planning.workplace import Workplace
@@ -105,8 +106,8 @@ def replan(
         plan: The certified plan being flown.
         now_s: Seconds on its clock, >= 0.
         changes: What has happened.
-        settings: As for `flockopt.plan`; replanning heeds its ``seed`` and ``tracking_margin_m``. Bundles are searched, begun
-            with those that are flown, whoever planned them.
+        settings: As for `flockopt.plan`; replanning heeds its ``seed``, ``time_limit_s`` and ``tracking_margin_m``. Bundles are
+            searched, begun with those that are flown, whoever planned them.
         freeze_s: Seconds the old plan is flown on before the swap, >= 0; 0 suits a fleet that has not taken off.
         airborne: Ids of drones that hover, as far as the plan does not tell by giving them flights: they may make way even if
             they have no capacity left, while a drone that never had any is grounded.
@@ -127,12 +128,20 @@ def replan(
     workplace = Workplace.of(situation.scene)
     situation = replace(situation, scene=workplace.scene, flights=flights_into(workplace.frame, situation.flights))
     hovering = {*airborne, *plan.flights}
-    for strategy, bundles, travel in _proposals(situation, settings.seed, changes):
-        left, result, unserved = _finished(situation, travel, bundles, strategy, settings.tracking_margin_m, hovering)
-        if result.status == Status.CERTIFIED:
-            break
-    left = workplace.asked_about(left)
-    result = workplace.handed_back(result, left)
+    deadline, strategy = Deadline.after(settings.time_limit_s), "none"
+    left: Scene = situation.scene
+    unserved: dict[str, str] = {}
+    result = draft(left, "replan", Bundles(situation.routes))
+    try:
+        for strategy, bundles, travel in _proposals(situation, settings.seed, changes, deadline):
+            finishing = _Finishing(strategy, settings.tracking_margin_m, hovering, deadline)
+            left, result, unserved = _finished(situation, travel, bundles, finishing)
+            if result.status == Status.CERTIFIED:
+                break
+        left = workplace.asked_about(left)
+        result = workplace.handed_back(result, left, deadline=deadline)
+    except OutOfTime as fault:
+        result = replace(result, status=Status.UNCERTIFIED, reason=f"{fault}; give it more time")
     return Replanned(left, result, swap_s, situation.unreachable | unserved, strategy, perf_counter() - began)
 
 
@@ -177,7 +186,9 @@ def _situation(scene: Scene, plan: Plan, now_s: float, changes: Changes, freeze_
     return None
 
 
-def _proposals(situation: Situation, seed: int, changes: Changes) -> Iterator[tuple[str, Bundles, Travel | None]]:
+def _proposals(
+    situation: Situation, seed: int, changes: Changes, deadline: Deadline
+) -> Iterator[tuple[str, Bundles, Travel | None]]:
     """Bundles to try, the most wanted first, each with the travel they are costed by, None for that of their own legs alone.
 
     The old ones, untouched, come last; they are all there is where nothing has happened.
@@ -187,13 +198,13 @@ def _proposals(situation: Situation, seed: int, changes: Changes) -> Iterator[tu
         yield "kept", Bundles(situation.routes), None
     num_obstacles, num_places = len(scene.obstacles), scene.num_tasks + scene.num_drones
     is_small = num_obstacles <= FEW_OBSTACLES and scene.num_tasks * num_places * num_obstacles <= SMALL_WORK
-    travel = compute_travel(scene) if is_small else _rough_travel(situation)
+    travel = compute_travel(scene, deadline=deadline) if is_small else _rough_travel(situation, deadline)
     known = travel if is_small else None
     old = _inserted(situation, travel, seed)
     new = refine_bundles(scene, travel=travel, iterations=ITERATIONS, seed=seed, warm_start=old)
 
     def metres(bundles: Bundles) -> float:
-        return (known or compute_travel(scene, routes=bundles.routes)).total(bundles.routes)
+        return (known or compute_travel(scene, routes=bundles.routes, deadline=deadline)).total(bundles.routes)
 
     old_m, drops = metres(old), _left_out(new) & situation.earlier - _left_out(old)
     if not drops and (len(new.unserved) < len(old.unserved) or travel.total(new.routes) < travel.total(old.routes)):
@@ -210,7 +221,7 @@ def _proposals(situation: Situation, seed: int, changes: Changes) -> Iterator[tu
     yield "kept", Bundles(situation.routes, left), known
 
 
-def _rough_travel(situation: Situation) -> Travel:
+def _rough_travel(situation: Situation, deadline: Deadline) -> Travel:
     """Distances in which those along the old routes, and of open tasks to what is near, are true; all others are straight."""
     scene = situation.scene
     true = pairs_on(scene, situation.routes)
@@ -220,7 +231,7 @@ def _rough_travel(situation: Situation) -> Travel:
         away = np.nan_to_num(np.linalg.norm(where - where[task], axis=1), nan=np.inf)
         near = np.argsort(away, kind="stable")[: NUM_NEAR + 1]
         true[task, near] = true[near, task] = True
-    found, straight = compute_travel(scene, wanted=true), straight_travel(scene)
+    found, straight = compute_travel(scene, wanted=true, deadline=deadline), straight_travel(scene)
     tasks, starts = slice(scene.num_tasks), slice(scene.num_tasks, scene.num_tasks + scene.num_drones)
     ends = slice(starts.stop, None)
     return Travel(
@@ -282,8 +293,25 @@ def _stops_at_last_task(situation: Situation, index: int) -> bool:
     return bool(np.linalg.norm(away) < SAME_POINT_M)
 
 
+@dataclass(frozen=True)
+class _Finishing:
+    """How bundles are made a plan.
+
+    Attributes:
+        strategy: How they came about.
+        margin_m: Room for tracking errors, metres.
+        airborne: Ids of drones that hover.
+        deadline: When to give up.
+    """
+
+    strategy: str
+    margin_m: float
+    airborne: Collection[str]
+    deadline: Deadline
+
+
 def _finished(
-    situation: Situation, travel: Travel | None, bundles: Bundles, strategy: str, margin_m: float, airborne: Collection[str]
+    situation: Situation, travel: Travel | None, bundles: Bundles, how: _Finishing
 ) -> tuple[Scene, Plan, dict[str, str]]:
     """The scene of what the bundles serve, the plan for it, certified or not, and what is left out."""
     scene = situation.scene
@@ -292,12 +320,15 @@ def _finished(
         kept = [j for j, task in enumerate(scene.tasks) if task.id not in unserved]
         place = {j: k for k, j in enumerate(kept)}
         scene = scene.replace(tasks=tuple(scene.tasks[j] for j in kept))
-        travel = None if travel is None else compute_travel(scene)
+        travel = None if travel is None else compute_travel(scene, deadline=how.deadline)
         bundles = Bundles(tuple(tuple(place[j] for j in route) for route in bundles))
     proof = None if travel is None else lower_bound(scene, travel, bound="fast")
-    travel = travel or compute_travel(scene, routes=bundles.routes)
-    source = _FlightsFromSwap(situation, bundles, strategy)
-    result = finish(scene, travel, bundles, source, planner="replan", proof=proof, margin_m=margin_m, airborne=airborne)
+    travel = travel or compute_travel(scene, routes=bundles.routes, deadline=how.deadline)
+    source = _FlightsFromSwap(situation, bundles, how.strategy)
+    result = finish(
+        scene, travel, bundles, source, planner="replan", proof=proof, margin_m=how.margin_m, airborne=how.airborne,
+        clock=Clock(deadline=how.deadline),
+    )  # fmt: skip
     return scene, result, unserved
 
 

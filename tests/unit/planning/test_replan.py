@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -285,3 +286,18 @@ def test_among_many_obstacles_only_ways_that_matter_are_found_and_verify_agrees(
 def _indices(answer):
     number = {task.id: index for index, task in enumerate(answer.scene.tasks)}
     return [[number[task] for task in answer.plan.routes.get(drone.id, ())] for drone in answer.scene.drones]
+
+
+def test_replanning_that_is_out_of_time_says_so_and_is_not_swapped_in(flying, monkeypatch):
+    scene, old = flying
+    slow = replan_module.compute_travel
+
+    def late(*arguments, deadline, **keywords):
+        time.sleep(max(deadline.left_s, 0.0) + 0.01)
+        return slow(*arguments, deadline=deadline, **keywords)
+
+    monkeypatch.setattr(replan_module, "compute_travel", late)
+    answer = replan(scene, old, 1.0, Changes(added=(Task("new", (10.0, 10.0, 4.5)),)), time_limit_s=0.2)
+    assert answer.plan.status == "uncertified"
+    assert answer.strategy == "none"
+    assert answer.plan.reason == "out of time while finding ways among obstacles; give it more time"
