@@ -40,9 +40,9 @@ def read_json(error: Error, path: str | Path) -> Any:
 
 
 def read_text(error: Error, path: str | Path) -> str:
-    """The text of a file in UTF-8; whatever keeps it from being read becomes a named error."""
+    """The text of a file in UTF-8, without a byte-order mark; whatever keeps it from being read becomes a named error."""
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8").removeprefix(BYTE_ORDER_MARK)
     except UnicodeDecodeError as fault:
         raise error("", f"{path} is not UTF-8 text ({fault.reason})", "the file must be UTF-8", "save it as UTF-8") from None
     except OSError as fault:
