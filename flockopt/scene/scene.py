@@ -214,12 +214,14 @@ class Scene:
 
     def to_dict(self) -> dict[str, Any]:
         """The canonical JSON object: every default filled in, but for unused keys that are younger than the format."""
-        record = dataclasses.asdict(self)
+        record = _fields_of(self) | {"bounds": _fields_of(self.bounds)}
+        record |= {name: [_fields_of(item) for item in record[name]] for name in ("drones", "tasks")}
+        record["origin"] = None if self.origin is None else _fields_of(self.origin)
         for owner, names in ((record, LATER_SCENE_KEYS), *((drone, LATER_DRONE_KEYS) for drone in record["drones"])):
             for name in names:
                 if owner[name] is None:
                     del owner[name]
-        record["obstacles"] = [{"shape": kind.shape, **dataclasses.asdict(kind)} for kind in self.obstacles]
+        record["obstacles"] = [{"shape": kind.shape, **_fields_of(kind)} for kind in self.obstacles]
         return {"format": FORMAT, **json.loads(json.dumps(record))}
 
     def save(self, path: str | Path) -> None:
@@ -289,6 +291,11 @@ def _frozen(values: list[Any], width: int | None = None) -> FloatArray:
         array = array.reshape(-1, width)
     array.setflags(write=False)
     return array
+
+
+def _fields_of(record: Any) -> dict[str, Any]:
+    """A record's fields by name, as they are: many times as fast as `dataclasses.asdict`, which copies all that they hold."""
+    return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
 
 
 def _required(record: type) -> tuple[str, ...]:

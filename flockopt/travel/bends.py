@@ -128,7 +128,7 @@ def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float
     return enter, leave
 
 
-@compiled_for(FREE_SPACE, FLOATS_2, types.float64, error_model="numpy")
+@compiled_for(FREE_SPACE, FLOATS_2, types.float64, error_model="numpy", nogil=True)
 def _sample(space: FreeSpace, edges: FloatArray, spacing: float) -> FloatArray:
     """Features on the free stretches of the edges and around spheres, (F, 13), a row each: see `POSITION`."""
     rows, count = np.empty((4 * edges.shape[0] + 32, NUM_FEATURE_COLUMNS)), 0

@@ -73,7 +73,7 @@ def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: Float
         corners[side, 1] = row[Y] + (support[after] * a - support[side] * c) / cross
 
 
-@compiled_for(FREE_SPACE, error_model="numpy")
+@compiled_for(FREE_SPACE, error_model="numpy", nogil=True)
 def _prism_edges(space: FreeSpace) -> FloatArray:
     """Edges of the prisms that enclose the grown boxes and cylinders, (E, 14)."""
     table, needs = space.table, space.needs
@@ -110,7 +110,7 @@ def _prism_edges(space: FreeSpace) -> FloatArray:
     return edges[:count]
 
 
-@compiled_for(FREE_SPACE, error_model="numpy")
+@compiled_for(FREE_SPACE, error_model="numpy", nogil=True)
 def _gap_edges(space: FreeSpace) -> FloatArray:
     """Upright lines through gaps narrower than the corners around them stand out, (E, 14); any bend is good there."""
     table, needs, reach = space.table, space.needs, space.reach

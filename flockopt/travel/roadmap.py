@@ -24,6 +24,9 @@ from flockopt.travel.sight import SIGHT, Sight, View, empty_sight
 
 __all__ = ["Legs", "Roadmap"]
 
+#: Among up to so many obstacles, features are made too soon to be interrupted.
+FEW_OBSTACLES = 300
+
 #: Ellipses to search first, as multiples of the straight flight.
 ELLIPSES = (1.02, 1.1)
 
@@ -72,7 +75,9 @@ class Roadmap:
         if not len(pairs):
             return Legs(lengths, pairs, np.zeros(1, dtype=np.int64), np.empty((0, 3)))
         if self._features is None or self._sight is None:
-            self._features = make_features(self._space)
+            few = len(self._space.needs) <= FEW_OBSTACLES
+            make = partial(make_features, self._space)
+            self._features = make() if few else heard(make, deadline=deadline, doing=DOING)
             self._sight = empty_sight(len(self._features.position))
         self._sight, drawn = self._search(self._features, self._sight, points, pairs, lengths, deadline)
         drawn = join(self._space, points, drawn, lengths, deadline)
