@@ -10,8 +10,6 @@ from flockopt.errors import SolverFailed, require
 
 __all__ = ["cp_model", "is_at_hand", "solved"]
 
-MODULE = "ortools.sat.python.cp_model"
-
 #: How long loading it may take, seconds.
 LOADING_S = 1.5
 
@@ -22,12 +20,12 @@ def cp_model() -> Any:
     Raises:
         MissingExtra: If OR-Tools is not installed.
     """
-    return require(MODULE, extra="solvers")
+    return require("ortools.sat.python.cp_model", extra="solvers")
 
 
 def is_at_hand(deadline: Deadline) -> bool:
     """Whether it is loaded, or there is time to load it."""
-    return MODULE in sys.modules or deadline.left_s > LOADING_S
+    return "ortools.sat.python.cp_model" in sys.modules or deadline.left_s > LOADING_S
 
 
 def solved(model: Any, work: float, deadline: Deadline = NEVER) -> tuple[Any, Any]:
