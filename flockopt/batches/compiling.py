@@ -20,7 +20,7 @@ from typing import IO, Any, Self
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
-from flockopt.batches.kept import place
+from flockopt.batches.kept import is_kept
 
 __all__ = ["compiling", "functions_under", "num_cores", "serve"]
 
@@ -101,7 +101,7 @@ class _Watch(event.Listener):  # type: ignore[misc]
 
     def _share(self, under: Mapping[str, set[str]]) -> None:
         self._count(set())
-        if num_cores() > 1 and sys.executable and place() is not None:  # they hand it over on disk
+        if num_cores() > 1 and sys.executable and is_kept():  # they hand it over on disk
             # where no process can be started, this one does it all
             with suppress(OSError), _Processes(self._command, under) as processes:
                 for done in processes.progress():

@@ -6,7 +6,7 @@ a change recompiles what it concerns and nothing else. What cannot be read is pa
 is not kept.
 
 The place is numba's own ``NUMBA_CACHE_DIR`` where that is set, else the user's cache directory, else a directory of the user's
-in the system's temporary one.
+in the system's temporary one, where nobody else can write.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 from numba.core.types.containers import BaseNamedTuple, BaseTuple
 
-__all__ = ["KeptCode", "digest_of", "place"]
+__all__ = ["KeptCode", "digest_of", "is_kept", "place"]
 
 #: Files that nobody has used for so long are removed, seconds.
 LONGEST_UNUSED_S = 60 * 86400.0
@@ -39,15 +39,17 @@ LONGEST_UNUSED_S = 60 * 86400.0
 
 @cache
 def place() -> Path | None:
-    """The directory that compiled code is kept in; None where nothing can be written."""
+    """The directory that compiled code is kept in; None where there is none.
+
+    One that ``NUMBA_CACHE_DIR`` names is trusted, and need not be writable: an image may come with one.
+    """
     if numba.config.CACHE_DIR:
-        candidates = [Path(numba.config.CACHE_DIR) / "flockopt"]
-    else:
-        candidates = [
-            *_in_home(),
-            Path(tempfile.gettempdir()) / f"flockopt-{os.getuid() if hasattr(os, 'getuid') else 'cache'}",
-        ]
-    for folder in candidates:
+        given = Path(numba.config.CACHE_DIR) / "flockopt"
+        with suppress(OSError):
+            given.mkdir(parents=True, exist_ok=True)
+        return given if given.is_dir() else None
+    user = os.getuid() if hasattr(os, "getuid") else "cache"
+    for folder in (*_in_home(), Path(tempfile.gettempdir()) / f"flockopt-{user}"):
         with suppress(OSError):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             if _is_ours(folder):
@@ -55,6 +57,12 @@ def place() -> Path | None:
                 _prune(folder)
                 return folder
     return None
+
+
+def is_kept() -> bool:
+    """Whether what is compiled now will be there for the next process."""
+    folder = place()
+    return folder is not None and os.access(folder, os.W_OK)
 
 
 def _in_home() -> list[Path]:
@@ -111,11 +119,10 @@ class KeptCode:
             if file is None or payload is None:
                 return None
             result = CompileResult._rebuild(target, *payload)
+        except Exception:  # it is not there, or damaged: unpickling may raise anything
+            return None
+        with suppress(OSError):
             os.utime(file)
-        except FileNotFoundError:
-            return None
-        except Exception:  # whatever a damaged file makes unpickling raise
-            return None
         return result
 
     def save_overload(self, signature: Any, result: Any) -> None:
@@ -128,6 +135,7 @@ class KeptCode:
             try:
                 with os.fdopen(handle, "wb") as stream:
                     stream.write(dumps(result._reduce()))
+                os.chmod(temporary, 0o644)  # an image may be made by one user and run by another
                 os.replace(temporary, file)
             except OSError:
                 os.unlink(temporary)

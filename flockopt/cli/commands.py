@@ -64,7 +64,7 @@ def plan(options: argparse.Namespace) -> int:
 def compile_all(options: argparse.Namespace) -> int:
     """Compile everything that is not compiled yet."""
     from flockopt.batches.compiling import functions_under, serve
-    from flockopt.batches.kept import place
+    from flockopt.batches.kept import is_kept, place
 
     if options.share:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
@@ -79,7 +79,7 @@ def compile_all(options: argparse.Namespace) -> int:
         text.emit("nothing is compiled where NUMBA_DISABLE_JIT is set")
     elif not options.quiet:
         functions, folder = set().union(*map(functions_under, entries)), place()
-        where = "no directory can be written to, and they are gone when this process ends" if folder is None else f"in {folder}"
+        where = f"in {folder}" if is_kept() else "no directory can be written to, and they are gone when this process ends"
         text.emit(f"{len(functions)} functions are compiled for this machine: {where}")
     return 0
 

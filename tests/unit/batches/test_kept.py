@@ -94,12 +94,19 @@ def test_without_a_home_the_temporary_directory_serves_and_without_that_nothing_
 
 
 def test_a_folder_that_others_may_write_to_is_not_trusted(run, tmp_path):
-    folder = tmp_path / "kept" / "flockopt"
+    folder, temporary = tmp_path / "home" / "flockopt", tmp_path / "temporary"
     folder.mkdir(parents=True)
     folder.chmod(0o777)
-    for _ in range(2):
-        assert run() == ["8.0", "inner", "outer"]
-    assert not run.files()
+    temporary.mkdir()
+    places = {"NUMBA_CACHE_DIR": "", "XDG_CACHE_HOME": str(tmp_path / "home"), "TMPDIR": str(temporary)}
+    assert run(**places) == ["8.0", "inner", "outer"]
+    assert not any(folder.iterdir())
+    assert run(**places) == ["8.0"]
+
+
+def test_what_an_image_comes_with_can_be_read_by_other_users(run):
+    run()
+    assert [file.stat().st_mode & 0o777 for file in run.files()] == [0o644, 0o644]
 
 
 def test_what_nobody_uses_is_removed(tmp_path, monkeypatch):
@@ -108,7 +115,8 @@ def test_what_nobody_uses_is_removed(tmp_path, monkeypatch):
     for file in (old, new):
         file.write_bytes(b"")
     os.utime(old, (0.0, 0.0))
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(config, "CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert kept.place.__wrapped__() == tmp_path / "flockopt"
     assert new.exists() and not old.exists()
 
