@@ -98,6 +98,8 @@ class JudgedCase:
     def blur(self, drone: int) -> FloatArray:
         """(K, 3) by how much the rounding of coefficients may move position, velocity and acceleration at a piece's end."""
         times, terms = self.curves[drone]
+        if self.rounding == 0.0:
+            return np.zeros((len(terms), 3))
         powers, spans = np.arange(terms.shape[2]), np.diff(times)[:, None]
         factors = np.stack([np.ones_like(powers), powers, powers * (powers - 1)])  # (3, D)
         raised = np.stack([spans ** np.maximum(powers - order, 0) for order in range(3)], axis=1)  # (K, 3, D)
