@@ -173,7 +173,7 @@ def _write(path: str, document: Scene | Plan) -> None:
 def _standard_input(error: type[FieldError]) -> Any:
     """The JSON document on stdin."""
     try:
-        content = sys.stdin.buffer.read().decode("utf-8")
+        content = sys.stdin.buffer.read().decode(files.UTF_8)
     except UnicodeDecodeError as fault:
         raise error("", f"stdin is not UTF-8 text ({fault.reason})", "it must be UTF-8", "save it as UTF-8") from None
     return files.parse_json(error, content, "stdin")

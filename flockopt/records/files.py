@@ -10,16 +10,16 @@ from typing import Any
 
 from flockopt.errors import FieldError
 
-__all__ = ["check_output", "parse_json", "read_json", "read_text", "write_whole"]
+__all__ = ["UTF_8", "check_output", "parse_json", "read_json", "read_text", "write_whole"]
 
 Error = type[FieldError]
 
-#: What some editors write before UTF-8 text, as one character.
-BYTE_ORDER_MARK = "\ufeff"
+#: UTF-8, with or without the mark that some editors begin it with.
+UTF_8 = "utf-8-sig"
 
 
 def parse_json(error: Error, content: str, source: str) -> Any:
-    """JSON with no repeated keys; ``source`` names the file in messages. A byte-order mark is no fault."""
+    """JSON with no repeated keys; ``source`` names the file in messages."""
 
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
         record = dict(items)
@@ -29,7 +29,7 @@ def parse_json(error: Error, content: str, source: str) -> Any:
         return record
 
     try:
-        return json.loads(content.removeprefix(BYTE_ORDER_MARK), object_pairs_hook=pairs)
+        return json.loads(content, object_pairs_hook=pairs)
     except (ValueError, RecursionError) as fault:
         raise error("", f"{source} is not JSON ({fault})", "the file must be one JSON object", "correct it there") from None
 
@@ -42,7 +42,7 @@ def read_json(error: Error, path: str | Path) -> Any:
 def read_text(error: Error, path: str | Path) -> str:
     """The text of a file in UTF-8, without a byte-order mark; whatever keeps it from being read becomes a named error."""
     try:
-        return Path(path).read_text(encoding="utf-8").removeprefix(BYTE_ORDER_MARK)
+        return Path(path).read_text(encoding=UTF_8)
     except UnicodeDecodeError as fault:
         raise error("", f"{path} is not UTF-8 text ({fault.reason})", "the file must be UTF-8", "save it as UTF-8") from None
     except OSError as fault:

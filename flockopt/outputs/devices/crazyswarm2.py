@@ -8,7 +8,7 @@ the firmware flies it, in single precision, and compared with the plan.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from flockopt.flights import Curve
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 
-__all__ = ["FLEET_FILE", "MOST_PIECES", "convert", "fly_as_firmware", "read_trajectory", "trajectory_csv", "yaml"]
+__all__ = ["FLEET_FILE", "MOST_PIECES", "convert", "fly_as_firmware", "read_rows", "read_trajectory", "trajectory_csv", "yaml"]
 
 #: Of a Crazyflie's trajectory memory, and of a piece in it: four polynomials of degree 7 and a duration in floats.
 MEMORY_BYTES, PIECE_BYTES = 4096, 4 * (4 * (LARGEST_DEGREE + 1) + 1)
@@ -105,18 +105,27 @@ def read_trajectory(text: str) -> FloatArray:
     lines = text.splitlines()
     if not lines or lines[0].split(",") != list(HEADER):
         raise PlanError("header", "is another one", f"must be {HEADER[0]}, {HEADER[1]}, ..., {HEADER[-1]}", "export anew")
+    return read_rows(lines[1:])
+
+
+def read_rows(lines: Sequence[str]) -> FloatArray:
+    """The pieces (K, 33) on the lines of a trajectory file.
+
+    Raises:
+        PlanError: If one is no piece, or there is none.
+    """
     rows = []
-    for number, line in enumerate(lines[1:]):
+    for number, line in enumerate(lines):
         try:
             row = [float(value) for value in line.split(",")]
         except ValueError:
             row = []
         if len(row) != len(HEADER) or not np.isfinite(row).all() or not row[0] > 0.0:
-            rule = f"must be {len(HEADER)} finite numbers, the first > 0"
-            raise PlanError(f"rows[{number}]", f"is {line[:40]!r}", rule, "export anew")
+            rule = f"must be {len(HEADER)} finite numbers: a duration > 0, then 8 coefficients each of x, y, z and yaw"
+            raise PlanError(f"rows[{number}]", f"is {line[:40]!r}", rule, "write the file anew")
         rows.append(row)
     if not rows:
-        raise PlanError("rows", "are missing", "a trajectory has a piece at least", "export anew")
+        raise PlanError("rows", "are missing", "a trajectory has a piece at least", "write the file anew")
     return np.array(rows)
 
 

@@ -17,7 +17,7 @@ from flockopt.certificate.clauses import VISIT_TOLERANCE_M
 from flockopt.certificate.plan_file import LARGEST_DEGREE
 from flockopt.errors import PlanError
 from flockopt.flights import Curve, Flight, Visit
-from flockopt.outputs.devices.crazyswarm2 import HEADER
+from flockopt.outputs.devices.crazyswarm2 import read_rows
 from flockopt.records import files
 from flockopt.records.arrays import FloatArray
 from flockopt.records.status import Status
@@ -74,21 +74,7 @@ def load_trajectories(scene: Scene, travel: Travel, path: str | Path) -> tuple[P
 def _rows(text: str) -> FloatArray:
     """(K, 33) of a file, whose header may be missing and whose lines may end with a comma."""
     lines = [line.strip().rstrip(",") for line in text.splitlines() if line.strip()]
-    if lines and not re.match(r"[-+.\d]", lines[0]):
-        lines = lines[1:]
-    rows = []
-    for number, line in enumerate(lines):
-        try:
-            row = [float(value) for value in line.split(",")]
-        except ValueError:
-            row = []
-        if len(row) != len(HEADER) or not np.isfinite(row).all() or not row[0] > 0.0:
-            rule = f"must be {len(HEADER)} finite numbers: a duration > 0, then 8 coefficients each of x, y, z and yaw"
-            raise PlanError(f"rows[{number}]", f"is {line[:40]!r}", rule, "correct the file")
-        rows.append(row)
-    if not rows:
-        raise PlanError("rows", "are missing", "a trajectory has a piece at least", "correct the file")
-    return np.array(rows)
+    return read_rows(lines[1:] if lines and not re.match(r"[-+.\d]", lines[0]) else lines)
 
 
 def _curve(rows: FloatArray) -> Curve:

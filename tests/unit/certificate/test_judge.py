@@ -8,6 +8,7 @@ import pytest
 
 from flockopt.bundles import Bound
 from flockopt.certificate import Cost, Plan
+from flockopt.certificate import judge as the_judge
 from flockopt.certificate.certificate import CLAUSES
 from flockopt.certificate.judge import certify
 from flockopt.errors import PlanError
@@ -256,3 +257,22 @@ def test_a_failed_clause_says_where_and_by_how_much():
     assert clause.margin == pytest.approx(-0.01)
     assert clause.where.startswith("drone a, t = 0.9")
     assert clause.detail == "drone a has speed 1.01 m/s; its max_speed is 1"
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_a_cost_without_a_bound_is_that_of_the_routes_legs_or_of_all_distances(monkeypatch, factor):
+    scene = lane_scene(np.random.default_rng(3), lanes=3)
+    plan, _ = plan_of_lanes(scene, np.random.default_rng(3))
+    plan = replace(plan, cost=replace(plan.cost, lower_bound=None, gap=None))
+    compute, asked = the_judge.compute_travel, []
+
+    def fewer(scene, *, routes=None, deadline):
+        asked.append(routes is None)
+        travel = compute(scene, deadline=deadline)
+        return travel if routes is None else replace(travel, start_task=factor * travel.start_task)
+
+    monkeypatch.setattr(the_judge, "compute_travel", fewer)
+    assert certify(scene, plan).certified
+    assert asked == ([False] if factor == 1.0 else [False, True])
+    dearer = replace(plan, cost=replace(plan.cost, travel=1.1 * plan.cost.travel))
+    assert not certify(scene, dearer)["bound"].holds

@@ -77,7 +77,7 @@ def test_files_go_through_pipes(folder):
     status, out, err = run("generate", "forest", "--drones", 2, "--tasks", 3, "--seed", 4, "-o", "-")
     assert status == 0
     scene = Scene.from_dict(json.loads(out))
-    status, out, err = run("plan", "-", "-o", "-", "--planner", "classical", stdin=out)
+    status, out, err = run("plan", "-", "-o", "-", "--planner", "classical", stdin="\ufeff" + out)
     assert status == 0
     made = Plan.from_dict(json.loads(out))
     assert made.scene_sha256 == scene.sha256

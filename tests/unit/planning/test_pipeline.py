@@ -249,3 +249,12 @@ def test_the_routing_solver_is_a_planner(scene):
     pytest.importorskip("ortools", reason="ortools comes with the extra 'solvers'")
     made = plan(scene, planner="ortools", time_limit_s=1.0)
     assert (made.planner, made.status) == ("ortools", "certified")
+
+
+def test_a_drone_that_cannot_enter_its_way_in_motion_halts_first():
+    moving = drone(0, (7.77, 2.05, 3.41), velocity=(0.88, -0.04, 1.61))  # up, with 0.6 m left to the ceiling
+    result = plan(make_scene([moving], [(8.46, 1.87, 1.45), (7.97, 1.9, 3.35)]), planner="classical")
+    assert result.status == "certified"
+    seconds = np.linspace(0.0, 2.0, 2001)
+    speeds = np.linalg.norm(result.flights["d0"].curve(seconds, 1), axis=1)
+    assert speeds[0] > 1.8 and speeds.min() < 0.01

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from flockopt import Cylinder, Scene, SceneError, SettingsError, Task, certify, generate, plan, replan
+from flockopt.planning import reallocation
 from flockopt.planning import replan as replan_module
 from flockopt.planning.replan import Changes
 from tests.flights import drone, make_scene
@@ -272,8 +273,9 @@ def test_where_nothing_has_happened_the_flights_go_on_and_no_bound_is_claimed(fl
 def test_among_many_obstacles_only_ways_that_matter_are_found_and_verify_agrees(monkeypatch):
     scene = Scene.load("examples/scenes/delft.json")
     old, asked = plan(scene, planner="classical"), []
-    compute = replan_module.compute_travel
-    monkeypatch.setattr(replan_module, "compute_travel", lambda *a, **k: asked.append(k) or compute(*a, **k))
+    compute = reallocation.compute_travel
+    for module in (reallocation, replan_module):
+        monkeypatch.setattr(module, "compute_travel", lambda *a, **k: asked.append(k) or compute(*a, **k))
     place = scene.tasks[0].position
     answer = replan(scene, old, 2.0, Changes(added=(Task("new", (place[0] + 3.0, place[1] + 2.0, place[2])),)))
     assert answer.plan.status == "certified"
@@ -290,13 +292,13 @@ def _indices(answer):
 
 def test_replanning_that_is_out_of_time_says_so_and_is_not_swapped_in(flying, monkeypatch):
     scene, old = flying
-    slow = replan_module.compute_travel
+    slow = reallocation.compute_travel
 
     def late(*arguments, deadline, **keywords):
         time.sleep(max(deadline.left_s, 0.0) + 0.01)
         return slow(*arguments, deadline=deadline, **keywords)
 
-    monkeypatch.setattr(replan_module, "compute_travel", late)
+    monkeypatch.setattr(reallocation, "compute_travel", late)
     answer = replan(scene, old, 1.0, Changes(added=(Task("new", (10.0, 10.0, 4.5)),)), time_limit_s=0.2)
     assert answer.plan.status == "uncertified"
     assert answer.strategy == "none"
