@@ -17,6 +17,7 @@ from flockopt.errors import PlanError
 from flockopt.flights import Flight
 from flockopt.geometry.bernstein import control_points, piece_states
 from flockopt.geometry.continuous import parked
+from flockopt.geometry.free_space import FreeSpace
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Drone, Point, Scene
 from flockopt.travel import Travel
@@ -117,8 +118,23 @@ class JudgedCase:
 
     def place(self, drone: int, time: float) -> Point:
         """Where a drone is at a time."""
-        flight = self.plan.flights.get(self.scene.drones[drone].id)
-        return self.scene.drones[drone].start if flight is None else to_point(flight.curve(time))
+        if self.scene.drones[drone].id not in self.plan.flights:
+            return self.scene.drones[drone].start
+        times, terms = self.curves[drone]
+        inside = min(max(time, float(times[0])), float(times[-1]))
+        piece = min(int(times.searchsorted(inside, side="right")) - 1, len(terms) - 1)
+        return to_point(terms[piece] @ (inside - times[piece]) ** np.arange(terms.shape[2]))
+
+    def free_space(self, drone: int) -> FreeSpace:
+        """What a drone keeps clear of: the same for all that are as large."""
+        reach = self.scene.drones[drone].radius + self.scene.clearance
+        if reach not in self._spaces:
+            self._spaces[reach] = self.scene.free_space(reach)
+        return self._spaces[reach]
+
+    @cached_property
+    def _spaces(self) -> dict[float, FreeSpace]:
+        return {}
 
 
 @dataclass
@@ -151,7 +167,7 @@ def _trimmed(coefficients: FloatArray) -> FloatArray:
 
 def to_point(values: FloatArray) -> Point:
     """Three numbers as a point."""
-    x, y, z = (float(value) for value in values)
+    x, y, z = values.tolist()
     return x, y, z
 
 

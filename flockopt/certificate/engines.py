@@ -29,10 +29,9 @@ class Engine:
 
 def _clearance(case: JudgedCase) -> Nearest | None:
     nearest = None
-    for i, drone in enumerate(case.scene.drones if case.scene.obstacles else ()):
+    for i in range(case.scene.num_drones if case.scene.obstacles else 0):
         case.check_time()
-        space = case.scene.free_space(drone.radius + case.scene.clearance)
-        margin, time, k = least_clearance(space, *case.curves[i], RESOLUTION_M)
+        margin, time, k = least_clearance(case.free_space(i), *case.curves[i], RESOLUTION_M)
         if nearest is None or margin < nearest.margin:
             nearest = Nearest(margin, time, case.place(i, time), i, k)
     return nearest

@@ -19,6 +19,7 @@ from flockopt.flights import Curve, Flight, Visit
 from flockopt.records import checks, files
 from flockopt.records.arrays import FloatArray
 from flockopt.records.status import PLAN_STATUSES, Status
+from flockopt.travel.travel import REVISION
 
 __all__ = ["LARGEST_DEGREE", "Cost", "Plan"]
 
@@ -26,6 +27,9 @@ FORMAT = "flockopt.plan/1"
 
 #: What a Crazyflie stores.
 LARGEST_DEGREE = 7
+
+#: What a cost measures; the revision of travel that a file without one is of.
+MEASURES, FIRST_REVISION = ("length", "travel", "lower_bound", "gap", "makespan"), 1
 
 REQUIRED = (
     "format", "scene", "planner", "status", "routes", "unserved", "trajectories", "cost", "certificate", "timing",
@@ -49,6 +53,7 @@ class Cost:
         lower_bound: Metres, a proven bound on the travel of any feasible allocation; None where none is claimed.
         gap: (travel - lower_bound) / lower_bound; None without a bound or with a bound of 0 under a travel above 0.
         makespan: Seconds until the last drone has finished.
+        travel_revision: Which revision of travel the matrix is of (`flockopt.travel.travel.REVISION`).
     """
 
     length: float
@@ -56,6 +61,7 @@ class Cost:
     lower_bound: float | None
     gap: float | None
     makespan: float
+    travel_revision: int = REVISION
 
 
 @dataclass(frozen=True)
@@ -153,7 +159,7 @@ class Plan:
             "routes": [{"drone": drone, "tasks": list(tasks)} for drone, tasks in self.routes.items()],
             "unserved": [{"task": task, "reason": reason} for task, reason in self.unserved.items()],
             "trajectories": [_trajectory_record(drone, flight) for drone, flight in self.flights.items()],
-            "cost": {name: _plain(getattr(self.cost, name)) for name in Cost.__dataclass_fields__},
+            "cost": _cost_record(self.cost),
             "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "timing": {stage: float(seconds) for stage, seconds in self.timing.items()},
         }
@@ -270,10 +276,16 @@ def _visit(item: Any) -> Visit:
 
 
 def _cost(item: Any) -> Cost:
-    record = checks.keys(PlanError, item, Cost.__dataclass_fields__)
+    record = checks.keys(PlanError, item, MEASURES, ("travel_revision",))
     sure = {name: checks.number(PlanError, name, record[name], least=0.0) for name in ("length", "travel", "makespan")}
     claims = {name: None if record[name] is None else checks.number(PlanError, name, record[name]) for name in CLAIMS}
-    return Cost(sure["length"], sure["travel"], claims["lower_bound"], claims["gap"], sure["makespan"])
+    revision = checks.integer(PlanError, "travel_revision", record.get("travel_revision", FIRST_REVISION), least=FIRST_REVISION)
+    return Cost(sure["length"], sure["travel"], claims["lower_bound"], claims["gap"], sure["makespan"], revision)
+
+
+def _cost_record(cost: Cost) -> dict[str, Any]:
+    record = {name: _plain(getattr(cost, name)) for name in MEASURES}
+    return record if cost.travel_revision == FIRST_REVISION else record | {"travel_revision": cost.travel_revision}
 
 
 def _settings(item: Any) -> dict[str, Setting]:

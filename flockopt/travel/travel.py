@@ -14,7 +14,11 @@ from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 
-__all__ = ["END", "START", "Paths", "Travel", "places", "stops_of", "straight_travel"]
+__all__ = ["END", "REVISION", "START", "Paths", "Travel", "places", "stops_of", "straight_travel"]
+
+#: Which way of finding ways lengths come from. Shortest ways are found to within a tolerance, so another revision finds
+#: slightly other ones: it rises with every change of them.
+REVISION = 2
 
 #: Names of a drone's own start and end where a task index is expected.
 START, END = -1, -2

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flockopt import plan
 from flockopt.bundles import Bound
 from flockopt.certificate import Cost, Plan
 from flockopt.certificate import judge as the_judge
@@ -276,3 +277,34 @@ def test_a_cost_without_a_bound_is_that_of_the_routes_legs_or_of_all_distances(m
     assert asked == ([False] if factor == 1.0 else [False, True])
     dearer = replace(plan, cost=replace(plan.cost, travel=1.1 * plan.cost.travel))
     assert not certify(scene, dearer)["bound"].holds
+
+
+@pytest.fixture(scope="module")
+def of_revision_1(root):
+    folder = root / "tests" / "golden"
+    return Scene.load(folder / "rooms-2x4.json"), Plan.load(folder / "rooms-2x4.revision-1.plan.json")
+
+
+def test_a_plan_costed_by_the_first_revision_of_travel_still_holds(of_revision_1):
+    scene, older = of_revision_1
+    certificate = certify(scene, older)
+    assert certificate.certified
+    (bound,) = (clause for clause in certificate.clauses if clause.name == "bound")
+    assert "its travel is of revision 1: compared within 2%" in bound.detail
+    assert "travel_revision" not in older.to_dict()["cost"]
+
+
+@pytest.mark.parametrize(("name", "by"), [("travel", 1.03), ("lower_bound", 1.03), ("gap", 0.03), ("length", 1.0001)])
+def test_what_it_claims_beyond_that_fails(of_revision_1, name, by):
+    scene, older = of_revision_1
+    claimed = getattr(older.cost, name)
+    cost = replace(older.cost, **{name: claimed + by if name == "gap" else claimed * by})
+    assert [clause.name for clause in certify(scene, replace(older, cost=cost)).failed] == ["bound"]
+
+
+def test_a_plan_of_this_revision_is_held_to_its_travel(of_revision_1):
+    scene, _ = of_revision_1
+    made = plan(scene, planner="classical")
+    assert made.to_dict()["cost"]["travel_revision"] == Plan.from_dict(made.to_dict()).cost.travel_revision == 2
+    off = replace(made, cost=replace(made.cost, travel=1.0001 * made.cost.travel))
+    assert [clause.name for clause in certify(scene, off).failed] == ["bound"]
