@@ -69,6 +69,7 @@ flying = @if $(RUN) -c "import pybullet" 2>/dev/null; then echo "$(1)"; $(1); el
 bench: $(READY)  ## run every benchmark on a few small scenes
 	$(RUN) -m benchmarks.planning --scenes 1 --seed 0 --sizes 4x8 --out out/bench/planning
 	$(call flying,$(RUN) -m benchmarks.execution --scenes 1 --seed 0 --drones 4 --tasks 8 --fleets 4 --out out/bench/execution)
+	$(RUN) -m benchmarks.travel --scenes 1 --seed 0 --pairs 100 --most 100 --families forest rooms --out out/bench/travel
 	$(RUN) -m benchmarks.optimality_gap --scenes 2 --seed 0 --sizes 4x8 --methods greedy,search-5ms,lp,exact --out out/bench/gap
 	$(RUN) -m benchmarks.public_instances --data benchmarks/data/mdovrp-val-50.npz --instances 2 --out out/bench/public
 	$(RUN) -m benchmarks.trajectories --scenes 2 --seed 0 --size 3x6 --out out/bench/trajectories
