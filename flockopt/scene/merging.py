@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import permutations
 
 import numpy as np
@@ -31,7 +32,7 @@ WORTH_SHARE = 0.5
 def with_merged_obstacles(scene: Scene) -> Scene:
     """The scene with fewer boxes that fill the same space; itself where that saves little."""
     obstacles = merged_obstacles(scene.obstacles)
-    if obstacles is scene.obstacles:
+    if len(obstacles) == len(scene.obstacles):
         return scene
     try:
         return scene.replace(obstacles=obstacles)
@@ -39,6 +40,7 @@ def with_merged_obstacles(scene: Scene) -> Scene:
         return scene
 
 
+@lru_cache(maxsize=16)  # a scene's travel is asked for several times while it is planned
 def merged_obstacles(obstacles: tuple[Obstacle, ...]) -> tuple[Obstacle, ...]:
     """The same obstacles with as few boxes as are found, each with the id, and in the place, of the first box in it.
 

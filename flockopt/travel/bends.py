@@ -11,15 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import types
+from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, compiled_for, compiled_lazily, record_of
+from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_1, compiled_for, compiled_lazily, record_of
 from flockopt.geometry.distances import HALF_X, SHAPE, SPHERE, X
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace, inside, may_meet
 from flockopt.geometry.kernels import point_distance, point_gradient, segment_length
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.edges import ENDS_BEND, FIRST, FROM, OWNER, SECOND, TO, feature_edges, room_for_row
+from flockopt.travel.edges import CORE, ENDS_BEND, FIRST, FROM, OWNER, ROUND, SECOND, TO, feature_edges, room_for_row
 
-__all__ = ["Features", "make_features", "unrestricted"]
+__all__ = ["FEATURES", "Features", "ball_features", "make_features"]
 
 #: Most samples on the inner part of one free stretch of an edge.
 MOST_SAMPLES = 3
@@ -28,45 +29,59 @@ SPACING_SHARE = 1.0 / 12.0
 #: Shorter free stretches are too narrow to be worth a sample, metres.
 LEAST_STRETCH_M = 1e-6
 #: How far, as the product of two sines, an edge may be from tangent at a feature and still be of use.
-EDGE_SLACK, SPHERE_SLACK = 1e-6, 0.25
-#: The same for how far a bend may turn away from the obstacle: a sampled bend is a little off the best one.
-BEND_SLACK = 0.3
-
+EDGE_SLACK, UNDERSIDE_SLACK, SPHERE_SLACK = 1e-10, 0.03, 0.25
+#: Among so few features it is never less than this: a line may cut a prism's corner and clear what is rounder inside.
+FEW_FEATURES, CUT_SLACK = 380, 0.15
 
 #: Where a feature's columns begin while features are made: see `Features`.
-POSITION, NORMAL, OTHER_NORMAL, ALONG, SLACK = 0, 3, 6, 9, 12
-NUM_FEATURE_COLUMNS = 13
+POSITION, NORMAL, OTHER_NORMAL, ALONG, INWARD, ROOM, SLACK, BACK, ONWARD, CAP, BESIDE = 0, 3, 6, 9, 12, 15, 16, 17, 18, 19, 20
+NUM_FEATURE_COLUMNS = 21
 #: Points around a sphere: three rings of eight, and its poles.
 NET_NODES = 26
 
 
 class Features(NamedTuple):
-    """Points where a path may bend, with the two faces that meet there."""
+    """Points where a path may bend, with the two faces that meet there and the round core that it winds around."""
 
     position: FloatArray  # (F, 3) m
     first: FloatArray  # (F, 3) outward normal of one face
     second: FloatArray  # (F, 3) outward normal of the other face
     along: FloatArray  # (F, 3) unit direction of the edge; zero on a sphere
+    core: FloatArray  # (F, 3) m, a point of the core: of a line along the edge, or a sphere's centre
+    room: FloatArray  # (F,) m, how far from the core paths keep; 0 where there is none
     slack: FloatArray  # (F,) see EDGE_SLACK
-    bend: float  # how far, as a sine, a bend may turn away from the obstacle it is around
+    back: FloatArray  # (F,) m, where the free stretch of the edge begins: along it, from the position, not positive
+    onward: FloatArray  # (F,) m, where it ends
+    cap: FloatArray  # (F,) 1 on the upper corner of a prism, whose top is a third face; -1 on a lower one; else NaN
+    owner: NDArray[np.int64]  # (F,) the obstacle it is beside; the number of obstacles where it is between two
+    prism: NDArray[np.int64]  # (F,) the obstacle that tangents there are clear of, -1 where none is
 
 
 #: The same as compiled code knows it.
-FEATURES = record_of(Features, *[FLOATS_2] * 4, FLOATS_1, types.float64)
+FEATURES = record_of(Features, *[FLOATS_2] * 5, *[FLOATS_1] * 5, INTEGERS_1, INTEGERS_1)
 
 
 def make_features(space: FreeSpace) -> Features:
     """All features of a space, in the order of its obstacles."""
     spacing = SPACING_SHARE * float((space.upper - space.lower).max())
-    rows = _sample(space, feature_edges(space), spacing)
-    columns = (POSITION, NORMAL, OTHER_NORMAL, ALONG)
-    position, first, second, along = (np.ascontiguousarray(rows[:, column : column + 3]) for column in columns)
-    return Features(position, first, second, along, np.ascontiguousarray(rows[:, SLACK]), BEND_SLACK)
+    return _features(_sample(space, feature_edges(space), spacing), len(space.table))
 
 
-def unrestricted(features: Features) -> Features:
-    """The same features for any line through them and any bend at them."""
-    return features._replace(slack=np.full(len(features.slack), np.inf), bend=np.inf)
+def ball_features(space: FreeSpace, first: int) -> Features:
+    """The features of the spheres among a space's obstacles from the ``first`` on."""
+    return _features(_sample_spheres(space, first), len(space.table))
+
+
+def _features(rows: FloatArray, num_obstacles: int) -> Features:
+    position, first, second, along, inward = (
+        np.ascontiguousarray(rows[:, column : column + 3]) for column in (POSITION, NORMAL, OTHER_NORMAL, ALONG, INWARD)
+    )
+    room, slack, back, onward, cap = (np.ascontiguousarray(rows[:, column]) for column in (ROOM, SLACK, BACK, ONWARD, CAP))
+    if len(rows) <= FEW_FEATURES:
+        slack = np.maximum(slack, CUT_SLACK)
+    owner = rows[:, BESIDE].astype(np.int64)
+    prism = np.where((owner < num_obstacles) & (slack <= EDGE_SLACK), owner, -1)
+    return Features(position, first, second, along, position + inward, room, slack, back, onward, cap, owner, prism)
 
 
 @compiled_lazily(error_model="numpy")
@@ -130,7 +145,7 @@ def _clip(edge: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float
 
 @compiled_for(FREE_SPACE, FLOATS_2, types.float64, error_model="numpy", nogil=True)
 def _sample(space: FreeSpace, edges: FloatArray, spacing: float) -> FloatArray:
-    """Features on the free stretches of the edges and around spheres, (F, 13), a row each: see `POSITION`."""
+    """Features on the free stretches of the edges and around spheres, (F, 21), a row each: see `POSITION`."""
     rows, count = np.empty((4 * edges.shape[0] + 32, NUM_FEATURE_COLUMNS)), 0
     blocked = np.empty((space.table.shape[0] + 1, 2))
     for index in range(edges.shape[0]):
@@ -138,8 +153,15 @@ def _sample(space: FreeSpace, edges: FloatArray, spacing: float) -> FloatArray:
         first, last = _clip(edge, space.lower, space.upper)
         if first <= last:
             _fill_blocked(space, edge, blocked)
-            rows, count = _sample_edge(edge, first, last, blocked, spacing, rows, count)
-    for k in range(space.table.shape[0]):
+            rows, count = _sample_edge(edge, first, last, blocked, spacing, space.table.shape[0], rows, count)
+    return np.concatenate((rows[:count], _sample_spheres(space, 0)))
+
+
+@compiled_for(FREE_SPACE, types.int64, error_model="numpy", nogil=True)
+def _sample_spheres(space: FreeSpace, first: int) -> FloatArray:
+    """Features around the spheres from obstacle ``first`` on, rows as in `_sample`."""
+    rows, count = np.empty((NET_NODES, NUM_FEATURE_COLUMNS)), 0
+    for k in range(first, space.table.shape[0]):
         if space.table[k, SHAPE] == SPHERE:
             rows, count = _sample_sphere(space, k, rows, count)
     return rows[:count]
@@ -166,7 +188,14 @@ def _fill_blocked(space: FreeSpace, edge: FloatArray, blocked: FloatArray) -> No
 
 @compiled_lazily(error_model="numpy")
 def _sample_edge(
-    edge: FloatArray, first: float, last: float, blocked: FloatArray, spacing: float, rows: FloatArray, count: int
+    edge: FloatArray,
+    first: float,
+    last: float,
+    blocked: FloatArray,
+    spacing: float,
+    num_obstacles: int,
+    rows: FloatArray,
+    count: int,
 ) -> tuple[FloatArray, int]:
     """Append features on the free stretches of an edge between two fractions of it; the rows, and how many are filled.
 
@@ -192,7 +221,12 @@ def _sample_edge(
                     row[POSITION + axis] = p[axis] + share * (q[axis] - p[axis])
                     row[NORMAL + axis], row[OTHER_NORMAL + axis] = edge[FIRST + axis], edge[SECOND + axis]
                     row[ALONG + axis] = (q[axis] - p[axis]) / length
-                row[SLACK] = EDGE_SLACK
+                    row[INWARD + axis] = edge[CORE + axis]
+                row[ROOM], row[SLACK] = edge[ROUND], UNDERSIDE_SLACK if edge[SECOND + 2] < 0.0 else EDGE_SLACK
+                row[BACK], row[ONWARD] = (free - share) * length, (stop - share) * length
+                row[BESIDE] = edge[OWNER] if edge[OWNER] >= 0.0 else num_obstacles
+                is_corner = edge[ENDS_BEND] > 0.0 and (share == 0.0 or share == 1.0)
+                row[CAP] = np.nan if not is_corner else (1.0 if share == 1.0 else -1.0)
                 count += 1
         free = max(free, blocked[stretch, 1])
         stretch += 1
@@ -216,8 +250,10 @@ def _sample_sphere(space: FreeSpace, k: int, rows: FloatArray, count: int) -> tu
         for axis in range(3):
             row[POSITION + axis] = space.table[k, X + axis] + away * outward[axis]
             row[NORMAL + axis] = row[OTHER_NORMAL + axis] = outward[axis]
-            row[ALONG + axis] = 0.0
-        row[SLACK] = SPHERE_SLACK
+            row[ALONG + axis], row[INWARD + axis] = 0.0, -away * outward[axis]
+        row[ROOM], row[SLACK] = space.table[k, HALF_X] + space.needs[k], SPHERE_SLACK
+        row[BACK] = row[ONWARD] = 0.0
+        row[CAP], row[BESIDE] = np.nan, k
         if inside(space, row) and _free(space, row):
             count += 1
     return rows, count

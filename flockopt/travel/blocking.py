@@ -10,15 +10,14 @@ import math
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
-from flockopt.batches.compiled import FLOATS_1, FLOATS_2, INTEGERS_2, compiled_for, compiled_lazily
+from flockopt.batches.compiled import FLOATS_1, compiled_for, compiled_lazily
 from flockopt.geometry.distances import BOX, COS_YAW, CYLINDER, HALF_X, HALF_Y, HALF_Z, SHAPE, SIN_YAW, X, Y, Z
 from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.kernels import SEGMENT_TOLERANCE_M, segment_distance
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["blocked_pairs", "blocker", "too_near"]
+__all__ = ["blocker", "too_near"]
 
 #: Most steps towards the least distance to a rim; the squared distance is then exact to rounding.
 RIM_STEPS = 14
@@ -28,7 +27,7 @@ RIM_STEPS = 14
 def blocker(space: FreeSpace, p: FloatArray, q: FloatArray, guess: int) -> int:
     """An obstacle that the segment p-q comes too near to, or -1; ``guess`` (or -1) is tried first."""
     table, needs, reach = space.table, space.needs, space.reach
-    if guess >= 0 and too_near(table, guess, needs[guess], p, q):
+    if guess >= 0 and too_near(table, guess, needs[guess], p[0], p[1], p[2], q[0], q[1], q[2]):
         return guess
     x, y = p[0], p[1]
     dx, dy = q[0] - x, q[1] - y
@@ -46,36 +45,23 @@ def blocker(space: FreeSpace, p: FloatArray, q: FloatArray, guess: int) -> int:
         ahead = dx * cx + dy * cy
         if ahead < -across or ahead > squared + across:
             continue
-        if k != guess and too_near(table, k, needs[k], p, q):
+        if k != guess and too_near(table, k, needs[k], p[0], p[1], p[2], q[0], q[1], q[2]):
             return k
     return -1
 
 
-@compiled_for(FREE_SPACE, FLOATS_2, INTEGERS_2, error_model="numpy")
-def blocked_pairs(space: FreeSpace, points: FloatArray, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether the straight flights between pairs (L, 2) of points (P, 3) come too near to some obstacle, (L,)."""
-    blocked = np.zeros(pairs.shape[0], dtype=np.bool_)
-    p, q = np.empty(3), np.empty(3)
-    guess = -1
-    for index in range(pairs.shape[0]):
-        for axis in range(3):
-            p[axis], q[axis] = points[pairs[index, 0], axis], points[pairs[index, 1], axis]
-        guess = blocker(space, p, q, guess)
-        blocked[index] = guess >= 0
-    return blocked
-
-
 @compiled_lazily(error_model="numpy")
-def too_near(table: FloatArray, k: int, need: float, p: FloatArray, q: FloatArray) -> bool:
+def too_near(table: FloatArray, k: int, need: float, px: float, py: float, pz: float, qx: float, qy: float, qz: float) -> bool:
     """Whether the segment p-q comes nearer to obstacle k than ``need``, by more than the tolerance."""
     room = need - SEGMENT_TOLERANCE_M
     if room <= 0.0:
-        return segment_distance(table[k], p, q, need, room) < room
+        return segment_distance(table[k], np.array([px, py, pz]), np.array([qx, qy, qz]), need, room) < room
+    x, y, z, dx, dy, dz = px - table[k, X], py - table[k, Y], pz - table[k, Z], qx - px, qy - py, qz - pz
     if table[k, SHAPE] == BOX:
-        return _box_too_near(table, k, room, p, q)
+        return _box_too_near(table, k, room, x, y, z, dx, dy, dz)
     if table[k, SHAPE] == CYLINDER:
-        return _cylinder_too_near(table, k, room, p, q)
-    return _sphere_too_near(table, k, room, p, q)
+        return _cylinder_too_near(table[k, HALF_X], table[k, HALF_Z], room, x, y, z, dx, dy, dz)
+    return _sphere_too_near(table[k, HALF_X] + room, x, y, z, dx, dy, dz)
 
 
 @compiled_lazily(error_model="numpy")
@@ -96,17 +82,20 @@ def _pull(x: float, half: float) -> float:
 
 
 @compiled_lazily(error_model="numpy")
-def _box_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
-    """The squared distance is a convex, piecewise quadratic function along the segment.
+def _box_too_near(
+    table: FloatArray, k: int, room: float, px: float, py: float, pz: float, ox: float, oy: float, oz: float
+) -> bool:
+    """For a segment from p, as seen from the box's middle, by o.
+
+    The squared distance is a convex, piecewise quadratic function along the segment.
 
     Its slope is piecewise linear and bends where a coordinate crosses a face: between the two bends around the
     minimum the slope's zero is found by one interpolation.
     """
     h0, h1, h2 = table[k, HALF_X], table[k, HALF_Y], table[k, HALF_Z]
     cos_yaw, sin_yaw = table[k, COS_YAW], table[k, SIN_YAW]
-    px, py, ox, oy = p[0] - table[k, X], p[1] - table[k, Y], q[0] - p[0], q[1] - p[1]
-    x0, x1, x2 = cos_yaw * px + sin_yaw * py, cos_yaw * py - sin_yaw * px, p[2] - table[k, Z]
-    d0, d1, d2 = cos_yaw * ox + sin_yaw * oy, cos_yaw * oy - sin_yaw * ox, q[2] - p[2]
+    x0, x1, x2 = cos_yaw * px + sin_yaw * py, cos_yaw * py - sin_yaw * px, pz
+    d0, d1, d2 = cos_yaw * ox + sin_yaw * oy, cos_yaw * oy - sin_yaw * ox, oz
     low, high = _within(0.0, 1.0, x0, d0, h0 + room)
     if low >= high:
         return False
@@ -149,11 +138,13 @@ def _box_slope(
 
 
 @compiled_lazily(error_model="numpy")
-def _cylinder_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
-    """Closed form beside the cylinder and over its flat ends; only near a rim the distance is iterated."""
-    x, y, z = p[0] - table[k, X], p[1] - table[k, Y], p[2] - table[k, Z]
-    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    radius, half = table[k, HALF_X], table[k, HALF_Z]
+def _cylinder_too_near(
+    radius: float, half: float, room: float, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> bool:
+    """For a segment from (x, y, z), as seen from the cylinder's middle, by (dx, dy, dz).
+
+    Closed form beside the cylinder and over its flat ends; only near a rim the distance is iterated.
+    """
     low, high = _within(0.0, 1.0, z, dz, half + room)
     if low >= high:
         return False
@@ -211,10 +202,9 @@ def _rim_slope(a: float, b: float, c: float, radius: float, t: float) -> float:
 
 
 @compiled_lazily(error_model="numpy")
-def _sphere_too_near(table: FloatArray, k: int, room: float, p: FloatArray, q: FloatArray) -> bool:
-    x, y, z = table[k, X] - p[0], table[k, Y] - p[1], table[k, Z] - p[2]
-    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+def _sphere_too_near(limit: float, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
+    """Whether a segment from (x, y, z), as seen from the centre, by (dx, dy, dz) comes nearer to it than ``limit``."""
     squared = dx * dx + dy * dy + dz * dz
-    t = min(max((x * dx + y * dy + z * dz) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
-    x, y, z = x - t * dx, y - t * dy, z - t * dz
-    return x * x + y * y + z * z < (table[k, HALF_X] + room) ** 2
+    t = min(max(-(x * dx + y * dy + z * dz) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+    x, y, z = x + t * dx, y + t * dy, z + t * dz
+    return x * x + y * y + z * z < limit * limit

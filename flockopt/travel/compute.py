@@ -15,15 +15,11 @@ from flockopt.scene.merging import with_merged_obstacles
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 from flockopt.travel.travel import Paths, Travel, places, straight_travel
 
-__all__ = ["compute_travel", "pairs_on", "roomy_needs"]
+__all__ = ["compute_travel", "pairs_on"]
 
 
-#: How much farther from obstacles than the scene asks paths keep, where the places to reach leave that room,
-#: metres: what lets smooth curves follow them.
-MOST_MARGIN_M = 5e-3
-
-#: For small drones that is less: at most this share of what they keep from obstacles.
-MARGIN_SHARE = 0.05
+#: How much farther from obstacles than the scene asks ways keep, as a share of that: what lets smooth curves follow them.
+MARGIN_SHARE = 0.0225
 
 #: Shares of that margin with which a way is looked for where the whole of it closes one: down to none.
 SMALLER_MARGINS = (0.2, 0.02, 0.0)
@@ -38,8 +34,9 @@ def compute_travel(
 ) -> Travel:
     """Shortest any-angle distances and paths that keep clear of obstacles and within bounds.
 
-    Each obstacle is kept at ``radius + clearance`` and a margin of up to `MOST_MARGIN_M`, less where a start, an
-    end or a task is nearer than that, and where it closes the only way. A task too near an obstacle for a class of
+    Each obstacle is kept at ``radius + clearance`` and a margin of `MARGIN_SHARE` of that, less where an end of the
+    way itself is nearer than that, and where it closes the only way: a leg depends on its two ends, its kind of drone, the
+    obstacles and the bounds alone. A task too near an obstacle for a class of
     drones has no way for them.
 
     Args:
@@ -84,22 +81,6 @@ def pairs_on(scene: Scene, routes: Sequence[Sequence[int]]) -> NDArray[np.bool_]
     return wanted
 
 
-def roomy_needs(gaps: FloatArray, need: float, share: float = 1.0) -> FloatArray:
-    """How far paths keep from each obstacle, (K,) m: ``need`` and a margin that leaves room at all places.
-
-    Args:
-        gaps: (P, K) m between the places to reach and the obstacles.
-        need: What must be kept, metres.
-        share: Of the margin, what is to be kept too.
-    """
-    least_slack = (gaps - need).min(axis=0)  # (K,)
-    margins = np.where(
-        least_slack > 0.0, share * np.minimum(0.5 * least_slack, min(MOST_MARGIN_M, MARGIN_SHARE * need)), least_slack
-    )
-    needs: FloatArray = need + margins
-    return needs
-
-
 def _fill_class(
     scene: Scene,
     travel: Travel,
@@ -114,7 +95,8 @@ def _fill_class(
 
     Pairs of places that ``only`` (P, P) does not hold, if it is given, are left out.
     """
-    from flockopt.travel.roadmap import Legs, Roadmap
+    from flockopt.travel.legs import Legs
+    from flockopt.travel.roadmap import roadmap_among
 
     num_drones, num_tasks = scene.num_drones, scene.num_tasks
     need = radius + scene.clearance
@@ -124,8 +106,8 @@ def _fill_class(
     active = np.concatenate([tasks, num_tasks + drones, num_tasks + num_drones + drones[bound]])
 
     def legs_with(share: float, wanted: NDArray[np.bool_]) -> Legs:
-        needs = roomy_needs(gaps[active], need, share)
-        roadmap = Roadmap(scene.obstacle_table, needs, (scene.bounds.lower, scene.bounds.upper))
+        margin = share * MARGIN_SHARE * need
+        roadmap = roadmap_among(scene.obstacle_table, need, (scene.bounds.lower, scene.bounds.upper), margin)
         return roadmap.legs(points[active], wanted, deadline)
 
     wanted = np.zeros((len(active), len(active)), dtype=np.bool_)

@@ -18,12 +18,13 @@ from flockopt.geometry.free_space import FREE_SPACE, FreeSpace
 from flockopt.geometry.kernels import point_distance, point_gradient
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["ENDS_BEND", "FIRST", "FROM", "NUM_SIDES", "OWNER", "SECOND", "TO", "feature_edges", "room_for_row"]
+__all__ = ["CORE", "ENDS_BEND", "FIRST", "FROM", "NUM_SIDES", "OWNER", "ROUND", "SECOND", "TO", "feature_edges", "room_for_row"]
 
 #: Where an edge's columns begin: both ends, (3,) m each, the outward normals of the two faces that meet there, (3,) each,
-#: the obstacle it belongs to (-1 if none), and whether its ends are places to bend at too.
-FROM, TO, FIRST, SECOND, OWNER, ENDS_BEND = 0, 3, 6, 9, 12, 13
-NUM_EDGE_COLUMNS = 14
+#: the obstacle it belongs to (-1 if none), whether its ends are places to bend at too, and the round core that ways wind
+#: around there: a line beside the edge, (3,) m away, and how far from it they keep, metres (0 where there is none).
+FROM, TO, FIRST, SECOND, OWNER, ENDS_BEND, CORE, ROUND = 0, 3, 6, 9, 12, 13, 14, 17
+NUM_EDGE_COLUMNS = 18
 
 #: Sides of the polygon around a grown footprint: a multiple of four, so that a box keeps its faces.
 NUM_SIDES = 8
@@ -38,7 +39,7 @@ GAP_POINT_M = 1e-4
 
 
 def feature_edges(space: FreeSpace) -> FloatArray:
-    """The edges, (E, 14), a row each: see `FROM` and the columns after it."""
+    """The edges, (E, 18), a row each: see `FROM` and the columns after it."""
     return np.concatenate([_prism_edges(space), _gap_edges(space)])
 
 
@@ -75,7 +76,7 @@ def _footprint(row: FloatArray, need: float, normals: FloatArray, corners: Float
 
 @compiled_for(FREE_SPACE, error_model="numpy", nogil=True)
 def _prism_edges(space: FreeSpace) -> FloatArray:
-    """Edges of the prisms that enclose the grown boxes and cylinders, (E, 14)."""
+    """Edges of the prisms that enclose the grown boxes and cylinders, (E, 18)."""
     table, needs = space.table, space.needs
     edges = np.zeros((table.shape[0] * 3 * NUM_SIDES, NUM_EDGE_COLUMNS))
     normals, corners = np.empty((NUM_SIDES, 2)), np.empty((NUM_SIDES, 2))
@@ -94,6 +95,7 @@ def _prism_edges(space: FreeSpace) -> FloatArray:
                 edge[FIRST + axis], edge[SECOND + axis] = normals[side, axis], normals[after, axis]
             edge[FROM + 2], edge[TO + 2] = bottom, top
             edge[OWNER], edge[ENDS_BEND] = k, 1.0
+            _fill_upright_core(edge, row, needs[k], side)
             count += 1
             # the short sides that round a box's corners are covered by the ends of the vertical edges
             if row[SHAPE] == BOX and side % (NUM_SIDES // 4) != 0:
@@ -105,14 +107,30 @@ def _prism_edges(space: FreeSpace) -> FloatArray:
                     edge[FROM + axis], edge[TO + axis] = corners[before, axis], corners[side, axis]
                     edge[FIRST + axis] = normals[side, axis]
                 edge[FROM + 2] = edge[TO + 2] = level
-                edge[SECOND + 2], edge[OWNER] = up, k
+                edge[SECOND + 2], edge[OWNER], edge[ROUND] = up, k, needs[k]
+                for axis in range(3):
+                    edge[CORE + axis] = -needs[k] * (edge[FIRST + axis] + edge[SECOND + axis])
                 count += 1
     return edges[:count]
 
 
+@compiled_lazily(error_model="numpy")
+def _fill_upright_core(edge: FloatArray, row: FloatArray, need: float, side: int) -> None:
+    """The core of an upright edge after a side of the prism: a cylinder's axis, or the corner of a box nearest to it."""
+    x, y = row[X], row[Y]
+    edge[ROUND] = need
+    if row[SHAPE] == BOX:
+        u = row[HALF_X] if side < 2 or side > 5 else -row[HALF_X]
+        v = row[HALF_Y] if side < 4 else -row[HALF_Y]
+        x, y = x + row[COS_YAW] * u - row[SIN_YAW] * v, y + row[SIN_YAW] * u + row[COS_YAW] * v
+    else:
+        edge[ROUND] += row[HALF_X]
+    edge[CORE], edge[CORE + 1] = x - edge[FROM], y - edge[FROM + 1]
+
+
 @compiled_for(FREE_SPACE, error_model="numpy", nogil=True)
 def _gap_edges(space: FreeSpace) -> FloatArray:
-    """Upright lines through gaps narrower than the corners around them stand out, (E, 14); any bend is good there."""
+    """Upright lines through gaps narrower than the corners around them stand out, (E, 18); any bend is good there."""
     table, needs, reach = space.table, space.needs, space.reach
     edges, count = np.zeros((8, NUM_EDGE_COLUMNS)), 0
     middle = np.empty(3)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from flockopt.batches.compiled import compiled_lazily
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["SETTLED", "Frontier", "empty_frontier", "offer", "take_least"]
+__all__ = ["UNMET", "Frontier", "empty_frontier", "offer", "take_least"]
 
 #: Values of `Frontier.place` for features that are not in the heap.
 UNMET, SETTLED = -1, -2

@@ -1,14 +1,4 @@
-"""Compiled search for shortest paths over features, from one point to one or to several.
-
-The graph is a tangent graph (Lozano-Perez and Wesley 1979; in space its nodes are samples of edges, since the best bend
-may be anywhere on an edge): two features are joined where the line between them is clear and touches the obstacles of
-both, for a shortest path is taut, and leaves an obstacle along a tangent and on the side it came round. Edges are looked
-for only when a search gets to them, which checks a small part of them (a lazy A*; Hart, Nilsson and Raphael 1968).
-
-Most blocked flights need a small detour: `within_ellipse` looks only at the features in an ellipse around the
-straight flight, and a path it finds is shortest because any way that leaves the ellipse is longer. What is left
-goes to `shortest`, one search over all features to all remaining targets, which remembers what features see.
-"""
+"""Compiled: shortest paths over what features see of each other, by one search a place (Dijkstra 1959)."""
 
 from __future__ import annotations
 
@@ -16,253 +6,160 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
-from flockopt.batches.compiled import compiled_lazily
+from flockopt.batches.compiled import FLOATS_2, INTEGERS_2, compiled_for, compiled_lazily
 from flockopt.records.arrays import FloatArray
-from flockopt.travel.blocking import blocker
-from flockopt.travel.frontier import SETTLED, Frontier, empty_frontier, offer, take_least
-from flockopt.travel.sight import HIDDEN, SEEN, UNKNOWN, Sight, Step, View, look_around, norm, sees, step, tangent, wraps
+from flockopt.travel.bends import FEATURES, Features
+from flockopt.travel.frontier import UNMET, Frontier, empty_frontier, offer, take_least
+from flockopt.travel.sight import SIGHT, Sight
 
-__all__ = ["shortest", "within_ellipse"]
-
-#: More features than this in an ellipse, or more of them settled, and the pair is left to the wider search.
-MOST_MEMBERS, MOST_SETTLED = 256, 48
+__all__ = ["chains_between"]
 
 
-class Ellipse(NamedTuple):
-    """The features around a straight flight, and how far a search over them has come."""
-
-    members: NDArray[np.int64]  # (M,) which features
-    to_target: FloatArray  # (M,) m, straight
-    distance: FloatArray  # (M,) m, from the source by the best path so far, or straight where it may be seen from there
-    settled: NDArray[np.bool_]  # (M,)
-    parent: NDArray[np.int64]  # (F,) the feature before each, -1 if it is reached from the source
+#: How much longer than the shortest path one may be, as a multiple, that is looked at again, and
+#: what share it must gain.
+MOST_SLACK, LEAST_GAIN = 1.3, 1e-3
 
 
 class Search(NamedTuple):
-    """How far a search over all F features has come."""
+    """How far a search from one place has come."""
 
-    frontier: Frontier
-    distance: FloatArray  # (F,) m, from the source by the best path so far
-    estimate: FloatArray  # (F,) m, straight to the nearest target
-    parent: NDArray[np.int64]  # (F,) as in `Ellipse`
+    frontier: Frontier  # whose keys are the lengths of the best paths so far, metres
+    parent: NDArray[np.int64]  # (F,) the feature before each, -1 if it is seen from the place
 
 
-@compiled_lazily(error_model="numpy")
-def within_ellipse(
-    view: View, source: int, target: int, from_source: FloatArray, bound: float, parent: NDArray[np.int64]
-) -> tuple[float, int]:
-    """A shortest path over features v with ``|source v| + |v target| < bound``.
+@compiled_for(SIGHT, FEATURES, SIGHT, FLOATS_2, INTEGERS_2, types.boolean, error_model="numpy", nogil=True)
+def chains_between(
+    sight: Sight, features: Features, seen: Sight, points: FloatArray, pairs: NDArray[np.int64], others: bool
+) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The features that shortest paths between pairs of places bend around.
 
     Args:
-        view: Points and features; what points are known to see is filled further.
-        source: Index of the point to start from.
-        target: Index of the point to reach.
-        from_source: (F,) m, distance of each feature from the source.
-        bound: Metres.
-        parent: (F,) filled with the feature before each settled feature, -1 if it is reached from the source.
+        sight: What features see of each other.
+        features: Where paths may bend.
+        seen: What places see.
+        points: (P, 3) m, the places.
+        pairs: (L, 2) from, to; pairs of one origin stand together.
+        others: Whether to look for more than the shortest ones.
 
     Returns:
-        Its length and last feature; (inf, -1) if there is none shorter than ``bound`` or it is not found soon.
+        The lengths of the paths, (L,) m, infinite where there is none; where each pair's chains begin, (L,); how many features
+        the shortest one has, and how many another one that may be shorter when it is taut, 0 where there is none, (L, 2); the
+        chains.
     """
-    ellipse = Ellipse(
-        np.empty(MOST_MEMBERS, dtype=np.int64), np.empty(MOST_MEMBERS), np.empty(MOST_MEMBERS),
-        np.zeros(MOST_MEMBERS, dtype=np.bool_), parent,
-    )  # fmt: skip
-    size = _gather(view, source, target, from_source, bound, ellipse)
-    if size < 0:
-        return np.inf, -1
-    features, seen, num_obstacles, best = view.features, view.seen, view.space.table.shape[0], bound
-    last, guess = -1, np.int64(-1)
-    for _ in range(MOST_SETTLED):
-        key = best
-        nearest = -1
-        # among so few a linear scan is faster than a heap
-        for m in range(size):
-            if not ellipse.settled[m] and ellipse.distance[m] + ellipse.to_target[m] < key:
-                nearest, key = m, ellipse.distance[m] + ellipse.to_target[m]
-        if nearest < 0:
-            return (best, last) if last >= 0 else (np.inf, -1)
-        u = ellipse.members[nearest]
-        if parent[u] < 0 and seen[source, u] == UNKNOWN:
-            # its distance was a guess: whether the source sees it is asked only now that it would be next
-            found = sees(view, source, u, guess)
-            if found >= 0:
-                ellipse.distance[nearest] = np.inf
-                guess = found if found < num_obstacles else guess
+    num_features, num_pairs = sight.begin.shape[0] - 1, pairs.shape[0]
+    search = Search(empty_frontier(num_features), np.empty(num_features, dtype=np.int64))
+    begin, count = np.zeros(num_pairs, dtype=np.int64), np.zeros((num_pairs, 2), dtype=np.int64)
+    lengths = np.full(num_pairs, np.inf)
+    chains, used = np.empty(4 * num_pairs + 16, dtype=np.int64), 0
+    for pair in range(num_pairs):
+        if pair == 0 or pairs[pair, 0] != pairs[pair - 1, 0]:
+            _search_from(sight, seen, pairs[pair, 0], search)
+        lengths[pair], last = _last_before(seen, pairs[pair, 1], search)
+        begin[pair] = used
+        if last >= 0:
+            chains, used = _trace(chains, used, search.parent, last)
+            count[pair, 0] = used - begin[pair]
+            if not others:
                 continue
-        ellipse.settled[nearest] = True
-        come = _arrival(view, source, parent, u)
-        go = step(features.position, u, view.points, target)
-        if wraps(features, u, come, go) and sees(view, target, u, guess) < 0:
-            best, last = key, u
-        else:
-            guess = _relax_ellipse(view, source, ellipse, size, nearest, best, guess)
-    return np.inf, -1
+            other = _last_when_taut(features, seen, points, pairs[pair, 0], pairs[pair, 1], last, lengths[pair], search)
+            if other != last:
+                chains, used = _trace(chains, used, search.parent, other)
+                count[pair, 1] = used - begin[pair] - count[pair, 0]
+    return lengths, begin, count, chains[:used].copy()
 
 
 @compiled_lazily(error_model="numpy")
-def _gather(view: View, source: int, target: int, from_source: FloatArray, bound: float, ellipse: Ellipse) -> int:
-    """Fill the ellipse with its members; return how many there are, -1 if too many."""
-    position, points, seen, size = view.features.position, view.points, view.seen, 0
-    for v in range(position.shape[0]):
-        if from_source[v] >= bound:
-            continue
-        dx, dy, dz = step(position, v, points, target)
-        away, rest = dx * dx + dy * dy + dz * dz, bound - from_source[v]
-        if away < rest * rest:
-            if size == MOST_MEMBERS:
-                return -1
-            ellipse.members[size], ellipse.to_target[size] = v, math.sqrt(away)
-            # a feature not known to be hidden from the source may be as near as the straight line
-            ellipse.distance[size] = np.inf if seen[source, v] == HIDDEN else from_source[v]
-            ellipse.parent[v] = -1
-            size += 1
-    return size
-
-
-@compiled_lazily(error_model="numpy")
-def _arrival(view: View, source: int, parent: NDArray[np.int64], u: int) -> Step:
-    """The step by which the best path so far comes to feature u."""
-    position = view.features.position
-    if parent[u] < 0:
-        return step(view.points, source, position, u)
-    return step(position, parent[u], position, u)
-
-
-@compiled_lazily(error_model="numpy")
-def _relax_ellipse(view: View, source: int, ellipse: Ellipse, size: int, nearest: int, best: float, guess: int) -> int:
-    """Shorten the ways to other members by those through the settled one ``nearest``; return who blocked last."""
-    space, features, seen, parent = view.space, view.features, view.seen, ellipse.parent
-    position = features.position
-    u = ellipse.members[nearest]
-    come = _arrival(view, source, parent, u)
-    for m in range(size):
-        if ellipse.settled[m]:
-            continue
-        v = ellipse.members[m]
-        go = step(position, u, position, v)
-        length = ellipse.distance[nearest] + norm(go)
-        if length + ellipse.to_target[m] >= best or (ellipse.distance[m] <= length and seen[source, v] != UNKNOWN):
-            continue
-        if not (tangent(features, u, go) and tangent(features, v, go) and wraps(features, u, come, go)):
-            continue
-        if parent[v] < 0 and seen[source, v] == UNKNOWN:
-            if sees(view, source, v, guess) < 0:  # straight from the source is shorter than through u
-                continue
-            ellipse.distance[m] = np.inf
-        elif parent[v] < 0 and seen[source, v] == SEEN:
-            continue
-        found = blocker(space, position[u], position[v], guess)
-        if found < 0:
-            ellipse.distance[m], parent[v] = length, u
-        else:
-            guess = found
-    return guess
-
-
-@compiled_lazily(error_model="numpy")
-def shortest(
-    view: View, sight: Sight, source: int, targets: NDArray[np.int64], best: FloatArray, last: NDArray[np.int64],
-    parent: NDArray[np.int64],
-) -> Sight:  # fmt: skip
-    """Shortest paths from one point to several, over features.
-
-    A* with the distance to the nearest target as the estimate, which is never too long; a feature is expanded only if a
-    path through it could still beat the best known one to some target.
-
-    Args:
-        view: Points and features; what points are known to see is filled further.
-        sight: What is known of which features see each other; filled further.
-        source: Index of the point to start from.
-        targets: (T,) indices of the points to reach.
-        best: (T,) m, upper bounds on the lengths (infinite where none is known); lowered here.
-        last: (T,) the last feature before each target; left as it is where no shorter path is found.
-        parent: (F,) filled with the feature before each settled feature, -1 if it is reached from the source.
-
-    Returns:
-        The sight, with its pool grown where needed.
-    """
-    num_features = view.features.position.shape[0]
-    frontier, distance = empty_frontier(num_features), np.full(num_features, np.inf)
-    search = Search(frontier, distance, np.zeros(num_features), parent)
-    worst = best.max()
-    _set_out(view, source, targets, worst, search)
+def _search_from(sight: Sight, seen: Sight, source: int, search: Search) -> None:
+    """Shortest paths from a place to all features."""
+    frontier, parent, length = search.frontier, search.parent, search.frontier.key
+    length[:] = np.inf
+    frontier.place[:] = UNMET
+    for entry in range(seen.begin[source], seen.begin[source + 1]):
+        v = np.int64(seen.feature[entry])
+        parent[v] = -1
+        offer(frontier, v, seen.length[entry])
     while frontier.size[0] > 0:
         u = take_least(frontier)
-        if frontier.key[u] >= worst:
-            break
-        come = _arrival(view, source, parent, u)
-        useful, improved = _reach(view, u, come, distance[u], targets, best, last)
-        if improved:
-            worst = best.max()
-        if useful:
-            if sight.begin[u] < 0:
-                sight = look_around(view, sight, u)
-            _relax(view, sight, u, come, worst, search)
-    return sight
+        so_far = length[u]
+        for entry in range(sight.begin[u], sight.begin[u + 1]):
+            v = np.int64(sight.feature[entry])
+            through = so_far + sight.length[entry]
+            if through < length[v]:
+                parent[v] = u
+                offer(frontier, v, through)
 
 
 @compiled_lazily(error_model="numpy")
-def _set_out(view: View, source: int, targets: NDArray[np.int64], worst: float, search: Search) -> None:
-    """Estimate all features' ways to go, and offer those that the source sees."""
-    points, position, num_obstacles = view.points, view.features.position, view.space.table.shape[0]
-    guess = -1
-    for v in range(position.shape[0]):
-        near = np.inf
-        for target in targets:
-            dx, dy, dz = step(position, v, points, target)
-            near = min(near, dx * dx + dy * dy + dz * dz)
-        search.estimate[v] = math.sqrt(near)
-        length = norm(step(points, source, position, v))
-        if length + search.estimate[v] >= worst:
-            continue
-        found = sees(view, source, v, guess)
-        if found < 0:
-            search.distance[v], search.parent[v] = length, -1
-            offer(search.frontier, v, length + search.estimate[v])
-        elif found < num_obstacles:
-            guess = found
+def _last_before(seen: Sight, target: int, search: Search) -> tuple[float, int]:
+    """How long the shortest path to a place is, metres, by the features that it sees, and the last of these; -1 without one."""
+    best, last = np.inf, -1
+    for entry in range(seen.begin[target], seen.begin[target + 1]):
+        v = int(seen.feature[entry])
+        whole = search.frontier.key[v] + seen.length[entry]
+        if whole < best:
+            best, last = whole, v
+    return best, last
 
 
 @compiled_lazily(error_model="numpy")
-def _reach(
-    view: View, u: int, come: Step, so_far: float, targets: NDArray[np.int64], best: FloatArray,
-    last: NDArray[np.int64],
-) -> tuple[bool, bool]:  # fmt: skip
-    """Go on straight from feature u to every target; whether a way through u may be the shortest to any, and whether it is."""
-    features, points, num_obstacles = view.features, view.points, view.space.table.shape[0]
-    useful, improved, guess = False, False, np.int64(-1)
-    for t in range(targets.shape[0]):
-        go = step(features.position, u, points, targets[t])
-        length = so_far + norm(go)
-        if length < best[t]:
-            useful = True
-            if wraps(features, u, come, go):
-                found = sees(view, targets[t], u, guess)
-                if found < 0:
-                    best[t], last[t], improved = length, u, True
-                elif found < num_obstacles:
-                    guess = found
-    return useful, improved
+def _last_when_taut(
+    features: Features,
+    seen: Sight,
+    points: FloatArray,
+    source: int,
+    target: int,
+    shortest: int,
+    length: float,
+    search: Search,
+) -> int:
+    """The last feature on the path that is shortest if its last bend is where it should be on its edge, not where a sample is.
+
+    Unrolled about the edge the way from the bend before to the target is straight. The last feature of the ``shortest`` path,
+    which is so long, stays it unless another one gains `LEAST_GAIN`.
+    """
+    position, along = features.position, features.along
+    best, last, now = np.inf, shortest, np.inf
+    for entry in range(seen.begin[target], seen.begin[target + 1]):
+        v = int(seen.feature[entry])
+        whole = search.frontier.key[v] + seen.length[entry]
+        if whole > MOST_SLACK * length:
+            continue
+        u = search.parent[v]
+        before, so_far = (position[u], search.frontier.key[u]) if u >= 0 else (points[source], 0.0)
+        from_along, to_along, from_squared, to_squared = 0.0, 0.0, 0.0, 0.0
+        for axis in range(3):
+            come, go = before[axis] - position[v, axis], points[target, axis] - position[v, axis]
+            from_along, to_along = from_along + come * along[v, axis], to_along + go * along[v, axis]
+            from_squared, to_squared = from_squared + come * come, to_squared + go * go
+        from_beside = math.sqrt(max(from_squared - from_along * from_along, 0.0))
+        to_beside = math.sqrt(max(to_squared - to_along * to_along, 0.0))
+        beside = from_beside + to_beside
+        at = from_along + (to_along - from_along) * from_beside / beside if beside > 0.0 else 0.0
+        at = min(max(at, features.back[v]), features.onward[v])
+        taut = so_far + math.hypot(from_beside, at - from_along) + math.hypot(to_beside, to_along - at)
+        if v == shortest:
+            now = taut
+        if taut < best:
+            best, last = taut, v
+    return last if best < (1.0 - LEAST_GAIN) * now else shortest
 
 
 @compiled_lazily(error_model="numpy")
-def _relax(view: View, sight: Sight, u: int, come: Step, worst: float, search: Search) -> None:
-    """Shorten the ways to the features that the settled feature u sees."""
-    features, pool, frontier = view.features, sight.pool, search.frontier
-    position = features.position
-    distance, estimate, parent, place = search.distance, search.estimate, search.parent, frontier.place
-    x, y, z, so_far = position[u, 0], position[u, 1], position[u, 2], distance[u]  # read once: this is the busiest loop
-    for entry in range(sight.begin[u], sight.end[u]):
-        v = np.int64(pool[entry])  # so that what follows is compiled for one type of index
-        if place[v] == SETTLED:
-            continue
-        go = position[v, 0] - x, position[v, 1] - y, position[v, 2] - z
-        length = so_far + norm(go)
-        if length >= distance[v] or length + estimate[v] >= worst:
-            continue
-        if wraps(features, u, come, go):
-            distance[v], parent[v] = length, u
-            offer(frontier, v, length + estimate[v])
+def _trace(chains: NDArray[np.int64], used: int, parent: NDArray[np.int64], last: int) -> tuple[NDArray[np.int64], int]:
+    """Append the chain that ends with feature ``last`` to the first ``used`` entries; return it all, and its size."""
+    count, u = 0, last
+    while u >= 0:
+        count += 1
+        u = parent[u]
+    if used + count > chains.shape[0]:
+        wider = np.empty(2 * (used + count), dtype=np.int64)
+        wider[:used] = chains[:used]
+        chains = wider
+    u = last
+    for place in range(used + count - 1, used - 1, -1):
+        chains[place] = u
+        u = parent[u]
+    return chains, used + count

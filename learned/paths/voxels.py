@@ -23,7 +23,7 @@ from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.scene.scene import POSITION_TOLERANCE_M
 from flockopt.travel import END, Travel
-from flockopt.travel.compute import roomy_needs
+from flockopt.travel.compute import MARGIN_SHARE
 from learned.paths.voxel_search import Grid, astar, center_of, dijkstra, linked_voxel, make_grid
 
 __all__ = ["CONNECTIVITIES", "VoxelOracle", "VoxelSettings", "voxel_oracle"]
@@ -157,7 +157,19 @@ def _space(scene: Scene, gaps: FloatArray, active: NDArray[np.int64], need: floa
     if not scene.obstacles:
         return scene.free_space(need), active
     reached = active[gaps[active].min(axis=1) >= need - POSITION_TOLERANCE_M]
-    return scene.free_space(roomy_needs(gaps[reached], need)), reached
+    return scene.free_space(_roomy_needs(gaps[reached], need)), reached
+
+
+def _roomy_needs(gaps: FloatArray, need: float) -> FloatArray:
+    """How far paths keep from each obstacle, (K,) m: ``need`` and a margin that leaves room at all places.
+
+    Args:
+        gaps: (P, K) m between the places to reach and the obstacles.
+        need: What must be kept, metres.
+    """
+    least_slack = (gaps - need).min(axis=0)  # (K,)
+    needs: FloatArray = need + np.where(least_slack > 0.0, np.minimum(0.5 * least_slack, MARGIN_SHARE * need), least_slack)
+    return needs
 
 
 def _costs(grid: Grid, points: FloatArray, links: NDArray[np.int64], num_sources: int) -> FloatArray:

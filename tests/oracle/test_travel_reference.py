@@ -7,11 +7,15 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from flockopt import generate
 from flockopt.geometry.distances import BOX, SPHERE, distances
 from flockopt.geometry.kernels import segment_distances
 from flockopt.scene import Box, Cylinder, Sphere
+from flockopt.scene.families.layouts import FAMILIES
 from flockopt.scene.parts import obstacle_table
+from flockopt.travel.bends import make_features
 from flockopt.travel.roadmap import Roadmap
+from flockopt.travel.surroundings import blocked_between, surroundings, uneased
 
 LOWER, UPPER = np.zeros(3), np.array([10.0, 10.0, 4.0])
 NEED = 0.25
@@ -124,7 +128,7 @@ def test_lengths_are_within_a_percent_of_a_dense_visibility_graph(make, num_leve
     for seed in range(2):
         table = obstacle_table(make(seed))
         points = free_points(table, seed)
-        ours = Roadmap(table, np.full(len(table), NEED), (LOWER, UPPER)).legs(points, np.ones((NUM_POINTS, NUM_POINTS), bool))
+        ours = Roadmap(table, NEED, (LOWER, UPPER)).legs(points, np.ones((NUM_POINTS, NUM_POINTS), bool))
         reference = reference_lengths(table, points, num_levels, per_side)
         np.testing.assert_array_equal(np.isfinite(ours.lengths), np.isfinite(reference))
         i, j = ours.pairs.T
@@ -140,13 +144,13 @@ def test_lengths_do_not_depend_on_where_the_scene_lies_or_which_way_it_faces(mak
     table = obstacle_table(make(3))
     points = free_points(table, 3)
     wanted = np.ones((NUM_POINTS, NUM_POINTS), dtype=bool)
-    lengths = Roadmap(table, np.full(len(table), NEED), (LOWER, UPPER)).legs(points, wanted).lengths
+    lengths = Roadmap(table, NEED, (LOWER, UPPER)).legs(points, wanted).lengths
     quarter, shift = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([100.0, -50.0, 7.0])
     turned = table.copy()
     turned[:, 1:4] = table[:, 1:4] @ quarter + shift
     turned[:, 7], turned[:, 8] = -table[:, 8], table[:, 7]
     corners = np.sort([LOWER @ quarter + shift, UPPER @ quarter + shift], axis=0)
-    moved = Roadmap(turned, np.full(len(table), NEED), corners).legs(points @ quarter + shift, wanted).lengths
+    moved = Roadmap(turned, NEED, corners).legs(points @ quarter + shift, wanted).lengths
     np.testing.assert_allclose(moved, lengths, rtol=0.01)
     assert abs(moved.sum() / lengths.sum() - 1) < 1e-3
 
@@ -155,8 +159,27 @@ def test_lengths_do_not_depend_on_where_the_scene_lies_or_which_way_it_faces(mak
 def test_single_queries_agree_with_the_matrix(seed):
     table = obstacle_table([*forest(seed), *bubbles(seed)])
     points = free_points(table, seed)
-    roadmap = Roadmap(table, np.full(len(table), NEED), (LOWER, UPPER))
+    roadmap = Roadmap(table, NEED, (LOWER, UPPER))
     lengths = roadmap.legs(points, np.ones((NUM_POINTS, NUM_POINTS), dtype=bool)).lengths
     singles = [[roadmap.path(p, q)[0] for q in points] for p in points]
     np.testing.assert_allclose(singles, lengths, rtol=0.02)
     assert np.sum(singles) == pytest.approx(lengths.sum(), rel=2e-3)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_no_way_is_longer_than_one_over_the_same_bends(family):
+    """40 scenes of each family: every line between two bends is looked at, tangent or not."""
+    for seed in range(40):
+        scene = generate(family, drones=3, tasks=7, seed=seed, size=(12.0, 12.0, 4.0))
+        points = np.vstack([scene.starts, scene.task_positions])
+        need, bounds = float(scene.radii[0]) + scene.clearance, (scene.bounds.lower, scene.bounds.upper)
+        ours = Roadmap(scene.obstacle_table, need, bounds).legs(points, np.ones((10, 10), dtype=bool))
+        space = scene.free_space(need)
+        nodes = np.ascontiguousarray(np.vstack([points, make_features(space).position]))
+        pairs = np.stack(np.triu_indices(len(nodes), 1), axis=1)
+        pairs = pairs[~blocked_between(surroundings(space), uneased(len(nodes)), nodes, pairs)]
+        weights = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
+        graph = csr_matrix((weights, pairs.T), shape=(len(nodes), len(nodes)))
+        reference = dijkstra(graph, directed=False, indices=np.arange(10))[:, :10]
+        too_long = np.argwhere(ours.lengths > 1.001 * reference + 1e-9)
+        assert not len(too_long), (scene.name, too_long[0], ours.lengths[tuple(too_long[0])], reference[tuple(too_long[0])])

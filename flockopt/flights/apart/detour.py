@@ -16,7 +16,7 @@ from flockopt.geometry.distances import OBSTACLE_COLUMNS, SPHERE, distances
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
-from flockopt.travel.roadmap import Roadmap
+from flockopt.travel.roadmap import Roadmap, roadmap_among
 
 __all__ = ["Detours"]
 
@@ -25,6 +25,9 @@ DETOUR_RESERVE_M = 5e-3
 
 #: For small drones that is less: at most this share of what must lie between two of them.
 DETOUR_RESERVE_SHARE = 0.05
+
+#: What ways keep from obstacles beyond what they must, against rounding, metres.
+ROUNDING_M = 1e-6
 
 #: Distances at which a free spot is looked for, in separations, and directions a ring.
 SPOT_RINGS = (1.1, 1.5, 2.0, 3.0, 5.0, 8.0)
@@ -152,7 +155,7 @@ class Detours:
         if not legs:  # it only comes to a halt
             return None
         if len(balls):
-            roadmap = self._roadmap(drone, balls)
+            roadmap = self._roadmap(drone).with_balls(balls, self.deadline)
             legs = [roadmap.path(leg[0], leg[-1], self.deadline)[1] for leg in legs]
             if any(len(leg) == 0 for leg in legs):
                 return None
@@ -165,10 +168,10 @@ class Detours:
             cuts.append(len(waypoints.points) - 1)
         return [waypoints.points[a : b + 1] for a, b in pairwise(cuts)]
 
-    def _roadmap(self, drone: int, balls: FloatArray) -> Roadmap:
-        table = np.vstack([self.scene.obstacle_table, balls])
-        need = self.scene.drones[drone].radius + self.scene.clearance
-        return Roadmap(table, need + 1e-6, (self.scene.bounds.lower, self.scene.bounds.upper))
+    def _roadmap(self, drone: int) -> Roadmap:
+        """Ways of the drone among the scene's own obstacles."""
+        need = self.scene.drones[drone].radius + self.scene.clearance + ROUNDING_M
+        return roadmap_among(self.scene.obstacle_table, need, (self.scene.bounds.lower, self.scene.bounds.upper))
 
     def _may_move_on(self, drone: int) -> bool:
         """Whether a drone may leave the place where it would park: it has no end and is not grounded."""

@@ -90,7 +90,7 @@ def test_matrices_are_symmetric_and_paths_reverse():
 
 def test_a_path_around_a_cylinder_has_the_length_of_tangents_and_arc():
     reach = 1.0 + NEED
-    roadmap = Roadmap(obstacle_table([Cylinder("c", (10, 10, 2.5), 1.0, 5.0)]), [NEED], [BOUNDS.lower, BOUNDS.upper])
+    roadmap = Roadmap(obstacle_table([Cylinder("c", (10, 10, 2.5), 1.0, 5.0)]), NEED, [BOUNDS.lower, BOUNDS.upper])
     length, path = roadmap.path((5, 10, 1), (15, 10, 1))
     arc = math.pi - 2 * math.acos(reach / 5)
     shortest = 2 * math.sqrt(25 - reach**2) + reach * arc
@@ -102,7 +102,7 @@ def test_a_path_around_a_cylinder_has_the_length_of_tangents_and_arc():
 
 def test_a_path_over_a_wall_has_the_length_of_its_profile():
     wall = Box("w", (10, 10, 1), (0.5, 40, 2))
-    length, path = Roadmap(obstacle_table([wall]), [NEED], [BOUNDS.lower, BOUNDS.upper]).path((5, 10, 1), (15, 10, 1))
+    length, path = Roadmap(obstacle_table([wall]), NEED, [BOUNDS.lower, BOUNDS.upper]).path((5, 10, 1), (15, 10, 1))
     # two tangents to the rounded top edges, from points 1 m under them and 4.75 m beside them
     to_edge, angle = math.hypot(4.75, 1), math.atan2(1, 4.75)
     rise = angle + math.asin(NEED / to_edge)
@@ -113,7 +113,7 @@ def test_a_path_over_a_wall_has_the_length_of_its_profile():
 
 def test_a_path_around_a_sphere_has_the_length_of_tangents_and_arc():
     reach = 1.5 + NEED
-    roadmap = Roadmap(obstacle_table([Sphere("s", (10, 10, 2.5), 1.5)]), [NEED], [(0, 0, -10), (20, 20, 20)])
+    roadmap = Roadmap(obstacle_table([Sphere("s", (10, 10, 2.5), 1.5)]), NEED, [(0, 0, -10), (20, 20, 20)])
     length, _ = roadmap.path((5, 10, 2.5), (15, 10, 2.5))
     shortest = 2 * math.sqrt(25 - reach**2) + reach * (math.pi - 2 * math.acos(reach / 5))
     assert shortest <= length <= 1.01 * shortest
@@ -131,7 +131,7 @@ def test_the_one_narrow_gap_in_a_ring_of_cylinders_is_found(width, turn):
     ]
     outside = (10 + 8 * math.cos(turn + 1), 10 + 8 * math.sin(turn + 1), 2.5)
     table = obstacle_table(pillars)
-    length, path = Roadmap(table, np.full(len(table), NEED), [BOUNDS.lower, BOUNDS.upper]).path((10, 10, 2.5), outside)
+    length, path = Roadmap(table, NEED, [BOUNDS.lower, BOUNDS.upper]).path((10, 10, 2.5), outside)
     assert length <= 11.3
     assert segment_distances(table, path[:-1], path[1:]).min() >= NEED - 1e-9
 
@@ -141,7 +141,7 @@ def test_a_ring_without_a_gap_has_no_way():
         Cylinder(f"c{k}", (10 + 4 * math.cos(angle), 10 + 4 * math.sin(angle), 2.5), 0.7, 5.0)
         for k, angle in enumerate(np.linspace(0, 2 * math.pi, 24))
     ]
-    roadmap = Roadmap(obstacle_table(pillars), np.full(24, NEED), [BOUNDS.lower, BOUNDS.upper])
+    roadmap = Roadmap(obstacle_table(pillars), NEED, [BOUNDS.lower, BOUNDS.upper])
     length, path = roadmap.path((10, 10, 2), (1, 1, 2))
     assert math.isinf(length) and path.shape == (0, 3)
 
@@ -151,7 +151,7 @@ def test_a_low_ring_is_left_over_its_top():
         Cylinder(f"c{k}", (10 + 4 * math.cos(angle), 10 + 4 * math.sin(angle), 1.5), 0.7, 3.0)
         for k, angle in enumerate(np.linspace(0, 2 * math.pi, 24))
     ]
-    roadmap = Roadmap(obstacle_table(pillars), np.full(24, NEED), [BOUNDS.lower, BOUNDS.upper])
+    roadmap = Roadmap(obstacle_table(pillars), NEED, [BOUNDS.lower, BOUNDS.upper])
     length, path = roadmap.path((10, 10, 1), (1, 10, 1))
     assert math.isfinite(length) and path[:, 2].max() > 3.0
 
