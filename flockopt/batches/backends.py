@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from itertools import islice
 from typing import Any, NamedTuple, TypeVar
 
 from flockopt.errors import SettingsError, require
@@ -46,11 +47,11 @@ def open_backend(name: str, jobs: int) -> Iterator[Backend]:
 def outcomes(
     place: Backend,
     work: Callable[[Item], Returned],
-    items: Sequence[Item],
+    items: Iterable[Item],
     ahead: int,
     begun: Callable[[Item], object] = lambda item: None,
 ) -> Iterator[Returned]:
-    """What comes of each item, as it comes; within `open_backend`.
+    """What comes of each item, as it comes; within `open_backend`. Items are taken as there is room for them.
 
     Args:
         place: What `open_backend` gave.
@@ -61,7 +62,7 @@ def outcomes(
     """
     from joblib import Parallel, delayed
 
-    def handed_out(some: Sequence[Item]) -> Iterator[object]:
+    def handed_out(some: Iterable[Item]) -> Iterator[object]:
         for item in some:
             begun(item)
             yield delayed(work)(item)
@@ -69,8 +70,9 @@ def outcomes(
     if place.streams:
         yield from Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)(handed_out(items))
         return
-    for begin in range(0, len(items), ahead):
-        yield from Parallel(batch_size=1)(handed_out(items[begin : begin + ahead]))
+    left = iter(items)
+    while some := list(islice(left, ahead)):
+        yield from Parallel(batch_size=1)(handed_out(some))
 
 
 def run_round(
