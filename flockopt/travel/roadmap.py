@@ -181,8 +181,7 @@ class Roadmap:
 
         Fills ``lengths``, which hold the straight legs, and those along the chains as they are.
         """
-        assert self._bends is not None
-        features, pairs = self._bends.features, chains.pairs
+        features, pairs = self._known_bends(False, deadline).features, chains.pairs
         tight = np.ones(len(pairs), dtype=np.bool_)
         if len(pairs) > MANY_LEGS:
             reach = np.partition(lengths, NUM_NEAR, axis=1)[:, NUM_NEAR]  # (P,) m, how far a place's near ones are

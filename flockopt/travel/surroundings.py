@@ -139,6 +139,7 @@ def obstruction(
         one: One that is known to be clear of the segment, or -1.
         other: One more, or -1.
     """
+    # in one piece, and inlined: a path search asks this more often than anything else
     rows, begin, standing, side = around.rows, around.begin, around.standing, around.side
     if guess >= 0 and too_near(rows, guess, rows[guess, NEED], px, py, pz, qx, qy, qz):
         return guess
