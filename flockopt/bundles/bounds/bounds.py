@@ -20,7 +20,7 @@ from flockopt.bundles import Bound
 from flockopt.bundles.bounds import forest
 from flockopt.bundles.bounds.ng_route import count_pairs
 from flockopt.bundles.bounds.one_each import carries_one_at_most, match_one_each
-from flockopt.bundles.bounds.polyak import begin
+from flockopt.bundles.bounds.polyak import FIRST_REACH, begin
 from flockopt.bundles.bounds.pricing import (
     CLOSED_GAP,
     NEIGHBOURS,
@@ -47,16 +47,22 @@ FOREST_ROUNDS, MOST_FOREST_ROUNDS, FOREST_LEGS = 60, 300, 200_000
 #: Dynamic programs solved for the ng-route bound: within 0.05 % of its limit from 10 x 20 to 20 x 100.
 NG_ROUNDS = 80
 
-#: What the ng-routes of the bound ``tight`` may cost in all, at first and for each task, in units of about 10 ns; what a
-#: group of drones costs, whatever its routes. Less than a few rounds are not worth their time.
-TIGHT_COST, TIGHT_COST_A_TASK, GROUP_COST, LEAST_NG_ROUNDS = 500_000, 5_000, 1_500, 4
+#: What the ng-routes of the bound ``tight`` may cost in all, at first and for each task, in units of about 10 ns, a task
+#: costing more where there are more than so many; what a group of drones costs, whatever its routes. Less than a few rounds are
+#: not worth their time.
+TIGHT_COST, TIGHT_COST_A_TASK, MANY_TASKS, GROUP_COST, LEAST_NG_ROUNDS = 500_000, 5_000, 50, 1_500, 4
+
+#: Prices are sketched first, on routes that remember fewer tasks: how many are in a neighbourhood then, what that costs of a
+#: round in full, what share of all may go into how many sketches, and how far the first steps after them reach.
+SKETCH_NEIGHBOURS, SKETCH_COST, SKETCH_SHARE, SKETCH_ROUNDS, SKETCHED_REACH = 4, 0.2, 0.6, 60, 0.003
 
 #: What of it routes with any end may cost, as many as there are without ends: before routes with ends of their own, and where
 #: those are too many.
 ANY_END_SHARE, ANY_END_ALONE = 0.1, 1.5
 
-#: What a step between two tasks costs at least; more, with the fourth power of how many tasks on a route are remembered.
-STEP_COST, MEMORY_COST = 1.5, 0.04
+#: What a step between two tasks costs at least; more, with the fourth power of how many tasks on a route are remembered. Of the
+#: steps to a task, only the shortest are looked at: about so many.
+STEP_COST, MEMORY_COST, STEPS_LOOKED_AT = 1.5, 0.04, 150
 
 #: Gaps with which the bound ``tight`` is content in its first round and in its last one; with none at first where there are
 #: so few tasks that it costs next to nothing to go on.
@@ -109,11 +115,13 @@ def tight_bound(scene: Scene, travel: Travel, upper: float = math.inf, *, deadli
     if not scene.num_tasks or upper <= best.value:
         return best
     own = _have_ends_of_their_own(scene, travel)
-    rounds = _affordable_rounds(scene, travel, 1.0 - ANY_END_SHARE if own else 1.0)
+    affordable = _affordable_rounds(scene, travel, 1.0 - ANY_END_SHARE if own else 1.0)
+    sketches = min(int(affordable * SKETCH_SHARE / SKETCH_COST), SKETCH_ROUNDS)
+    rounds = affordable - int(affordable * SKETCH_SHARE)
     if own:
         before = _affordable_rounds(scene, _without_ends(travel), ANY_END_SHARE if rounds else ANY_END_ALONE)
         best, prices = _any_end(scene, travel, upper, np.linspace(good, FAIR_GAP, before), deadline, best, prices)
-    return _priced(scene, travel, upper, np.linspace(good, FAIR_GAP, rounds), deadline, best, prices)
+    return _priced(scene, travel, upper, np.linspace(good, FAIR_GAP, rounds), deadline, best, prices, sketches)
 
 
 def ng_route_bound(
@@ -149,17 +157,24 @@ def _any_end(
 
 
 def _priced(
-    scene: Scene, travel: Travel, upper: float, good: FloatArray, deadline: Deadline, best: Bound, prices: FloatArray
-) -> Bound:
-    """The ng-routes where they prove more than ``best``, after as many rounds as ``good`` has, or with one of its gaps."""
+    scene: Scene, travel: Travel, upper: float, good: FloatArray, deadline: Deadline, best: Bound, prices: FloatArray,
+    sketches: int = 0,
+) -> Bound:  # fmt: skip
+    """The ng-routes where they prove more than ``best``, after as many rounds as ``good`` has, or with one of its gaps.
+
+    Before that, so many rounds are ``sketches``.
+    """
     if not len(good) or upper <= best.value * (1.0 + good[0]) or not is_judged(scene, travel):
         return best
+    ceiling, reach = min(upper, travel_ceiling(travel)), FIRST_REACH
     matched = match_one_each(scene, travel) if carries_one_at_most(scene) else None
     prices, good = (prices[: scene.num_tasks], good) if matched is None else (matched.prices, good[:1])
+    if matched is None and sketches:
+        groups, reach = group_drones(scene, travel, SKETCH_NEIGHBOURS), SKETCHED_REACH
+        _, prices = ascend_prices(groups, prices, rounds=sketches, upper=ceiling, good=good[0], deadline=deadline)
     value, prices = ascend_prices(
-        group_drones(scene, travel), prices, rounds=len(good), upper=min(upper, travel_ceiling(travel)), good=good,
-        deadline=deadline,
-    )  # fmt: skip
+        group_drones(scene, travel), prices, rounds=len(good), upper=ceiling, good=good, reach=reach, deadline=deadline
+    )
     return Bound("ng-route", value, prices) if value > best.value else best
 
 
@@ -231,10 +246,12 @@ def _affordable_rounds(scene: Scene, travel: Travel, share: float) -> int:
     for drones in drones_that_share(travel):
         most = int(capacities[drones].max())
         remembered = float((lightest <= most).sum()) * min(1.0, NEIGHBOURS / scene.num_tasks)
-        cost += GROUP_COST + (STEP_COST + MEMORY_COST * remembered**4) * count_pairs(demands, most)
+        steps = count_pairs(demands, most) * min(1.0, STEPS_LOOKED_AT / scene.num_tasks)
+        cost += GROUP_COST + (STEP_COST + MEMORY_COST * remembered**4) * steps
     if carries_one_at_most(scene):
         cost /= NG_ROUNDS  # one round is enough
-    rounds = int(share * (TIGHT_COST + TIGHT_COST_A_TASK * scene.num_tasks) / cost)
+    most_cost = TIGHT_COST + TIGHT_COST_A_TASK * scene.num_tasks * max(1.0, scene.num_tasks / MANY_TASKS)
+    rounds = int(share * most_cost / cost)
     return min(rounds, NG_ROUNDS) if rounds >= LEAST_NG_ROUNDS else 0
 
 

@@ -13,7 +13,7 @@ from numba import types
 from flockopt.batches.compiled import FLOATS_1, compiled_for, writable
 from flockopt.records.arrays import FloatArray
 
-__all__ = ["BEST", "LEAST_REACH", "REACH", "aim", "begin"]
+__all__ = ["BEST", "FIRST_REACH", "LEAST_REACH", "REACH", "aim", "begin"]
 
 #: The target lies this share of the best value above it, at first and at least.
 FIRST_REACH, LEAST_REACH = 0.05, 1e-5
@@ -26,9 +26,9 @@ PATIENCE, LEAST_GAIN = 4, 0.1
 BEST, REACH, STALE = 0, 1, 2
 
 
-def begin() -> FloatArray:
-    """Before the first value."""
-    return np.array([-np.inf, FIRST_REACH, 0.0])
+def begin(reach: float = FIRST_REACH) -> FloatArray:
+    """Before the first value, with a target that lies this share above it."""
+    return np.array([-np.inf, reach, 0.0])
 
 
 @compiled_for(writable(FLOATS_1), *[types.float64] * 4)

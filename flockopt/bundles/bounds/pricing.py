@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from flockopt.batches.deadline import NEVER, Deadline, OutOfTime
 from flockopt.bundles.bounds.ng_route import Labels, Neighbourhood, cheapest_labels, count_visits, grow_labels, neighbourhood
-from flockopt.bundles.bounds.polyak import LEAST_REACH, REACH, aim, begin
+from flockopt.bundles.bounds.polyak import FIRST_REACH, LEAST_REACH, REACH, aim, begin
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
 from flockopt.travel import Travel
@@ -203,6 +203,7 @@ def ascend_prices(
     upper: float,
     cooling: float = 0.7,
     good: float | FloatArray = CLOSED_GAP,
+    reach: float = FIRST_REACH,
     deadline: Deadline = NEVER,
 ) -> tuple[float, FloatArray]:
     """Better prices (M,) of tasks, >= 0, for `evaluate`; for the rest see `ascend`."""
@@ -211,7 +212,7 @@ def ascend_prices(
         value, visits = evaluate(groups, prices, deadline)
         return value, 1.0 - visits
 
-    return ascend(slope, prices, np.zeros(len(prices)), rounds=rounds, upper=upper, cooling=cooling, good=good)
+    return ascend(slope, prices, np.zeros(len(prices)), rounds=rounds, upper=upper, cooling=cooling, good=good, reach=reach)
 
 
 def ascend(
@@ -223,6 +224,7 @@ def ascend(
     upper: float,
     cooling: float = 0.7,
     good: float | FloatArray = CLOSED_GAP,
+    reach: float = FIRST_REACH,
 ) -> tuple[float, FloatArray]:
     """Better prices by a projected subgradient with Polyak steps to a moving target.
 
@@ -235,12 +237,13 @@ def ascend(
         cooling: What the reach shrinks to; nearer to 1 ends nearer to the maximum, after more rounds.
         good: Ends it where ``upper`` is no farther above the bound than this share of it, or steps aim much less far; one for
             each round, or one for all.
+        reach: The share by which the first target lies above the first value.
 
     Returns:
         The best bound, metres, and the prices (P,) that prove it; minus infinity if there was no time for any.
     """
     best, best_prices, direction = -math.inf, prices, np.zeros_like(prices)
-    ascent = begin()
+    ascent = begin(reach)
     for step, near in enumerate(np.broadcast_to(good, rounds)):
         try:
             value, gradient = slope(prices)

@@ -39,9 +39,12 @@ __all__ = ["default_iterations", "search"]
 FIRST_HEAT, LAST_HEAT, FINAL_HEAT = 0.6, 0.2, 0.001
 FINAL_SHARE = 0.1
 
-#: How many tasks a ruin takes on average, how often a place is overlooked on purpose when they are put back, and how
-#: often tails are matched after that.
-MEAN_RUINED, BLINK_SHARE, MATCH_SHARE = 6.0, 0.01, 0.5
+#: How many tasks a ruin takes on average, and how often tails are matched after they are put back.
+MEAN_RUINED, MATCH_SHARE = 10.0, 1.0
+
+#: How often a place is overlooked on purpose when tasks are put back, at least; times the number of tasks, so often where there
+#: are so few that a ruin takes all of them, and they would go back the same few ways.
+BLINK_SHARE, BLINKS = 0.01, 0.5
 
 #: Under a time limit: iterations before the clock is read first, and share of the time between later readings.
 FIRST_ITERATIONS, CLOCK_SHARE = 32, 0.04
@@ -148,6 +151,7 @@ class _Annealer:
         self.best_after, self._best_cost, self._from_best = routes.after.copy(), cost, False
         travel, num_served = self._best_cost - problem.penalty * num_waiting, len(problem.demand) - num_waiting
         self._scale = travel / max(num_served, 1)
+        self._blink_share = max(BLINK_SHARE, BLINKS / max(len(problem.demand), 1))
 
     def run(self, clock: _Clock, begin: float, end: float, first_heat: float, last_heat: float) -> None:
         """Anneal until the share ``end`` of the search is over, colder all the time."""
@@ -157,7 +161,8 @@ class _Annealer:
             cooling = 1.0 if clock.is_timed else (last_heat / first_heat) ** (1.0 / step)
             cost = math.nan
             for first, last in NEVER.slices(step, DOING, FIRST_SLICE):
-                stretch = Stretch(last - first, temperature, cooling, MEAN_RUINED, BLINK_SHARE, MATCH_SHARE, self._from_best)
+                rates = MEAN_RUINED, self._blink_share, MATCH_SHARE
+                stretch = Stretch(last - first, temperature, cooling, *rates, self._from_best)
                 state = self._problem, self._routes, self._matching, self.best_after
                 cost, self._best_cost, temperature = _anneal(*state, cost, self._best_cost, stretch)
                 self._from_best = False

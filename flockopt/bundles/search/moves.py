@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from flockopt.bundles.search.state import (
     NUM_RESTING,
+    NUM_TORN,
     NUM_WAITING,
     RUIN,
     UNSERVED,
@@ -45,6 +46,7 @@ def ruin(problem: Problem, routes: Routes, mean_ruined: float) -> float:
     if busy == 0:
         return 0.0
     routes.counters[RUIN] += 1
+    routes.counters[NUM_TORN] = 0
     longest = min(float(LONGEST_STRING), (num_tasks - routes.counters[NUM_WAITING]) / busy)
     most_strings = max(0.0, 4.0 * mean_ruined / (1.0 + longest) - 1.0)
     strings_left = int(1.0 + most_strings * random_unit(routes.random))
@@ -56,6 +58,8 @@ def ruin(problem: Problem, routes: Routes, mean_ruined: float) -> float:
         if drone == UNSERVED or routes.ruined[drone] == routes.counters[RUIN]:
             continue
         routes.ruined[drone] = routes.counters[RUIN]
+        routes.torn[routes.counters[NUM_TORN]] = drone
+        routes.counters[NUM_TORN] += 1
         cost += _take_string(problem, routes, task, min(longest, routes.size[drone]))
         strings_left -= 1
         if strings_left == 0:
@@ -152,7 +156,7 @@ def best_place(problem: Problem, routes: Routes, task: int, blink_share: float) 
     """The node behind which ``task`` costs least, and what it adds, metres; UNSERVED where nothing is feasible.
 
     Looked at are the places beside its nearest tasks and in the nearest drones that rest, each overlooked with
-    probability ``blink_share``; only where none of them is feasible, every place there is.
+    probability ``blink_share``; only where none of them is feasible, all places on the ruined routes, and then all there are.
     """
     distance, drone_class, longest = problem.distance, problem.drone_class, problem.longest
     route, before, after, room, length = routes.route, routes.before, routes.after, routes.room, routes.length
@@ -165,14 +169,14 @@ def best_place(problem: Problem, routes: Routes, task: int, blink_share: float) 
         if drone == UNSERVED or demand > room[drone]:
             continue
         kind = drone_class[drone]
-        to_task = distance[kind, neighbour, task]
-        from_task = distance[kind, task, neighbour]
+        leg = distance[kind, task, neighbour]
         node = after[neighbour]
-        cost = to_task + distance[kind, task, node] - distance[kind, neighbour, node]
+        cost = leg + distance[kind, task, node] - distance[kind, neighbour, node]
         if cost < best_cost and length[drone] + cost <= longest[drone] and random_unit(random) > blink_share:
             best, best_cost = neighbour, cost
         node = before[neighbour]
-        cost = distance[kind, node, task] + from_task - distance[kind, node, neighbour]
+        to_task = distance[kind, task, node] if node < num_tasks else distance[kind, node, task]
+        cost = to_task + leg - distance[kind, node, neighbour]
         if cost < best_cost and length[drone] + cost <= longest[drone] and random_unit(random) > blink_share:
             best, best_cost = node, cost
     near_groups, num_resting, resting = problem.near_groups, routes.num_resting, routes.resting
@@ -188,7 +192,7 @@ def best_place(problem: Problem, routes: Routes, task: int, blink_share: float) 
         if cost < best_cost and length[drone] + cost <= longest[drone] and random_unit(random) > blink_share:
             best, best_cost = node, cost
     if best == UNSERVED:
-        return _best_of_all_places(problem, routes, task)
+        return _best_of_torn(problem, routes, task)
     return best, best_cost
 
 
@@ -199,18 +203,36 @@ def fits_length(problem: Problem, routes: Routes, drone: int, cost: float) -> bo
 
 
 @inner
-def _best_of_all_places(problem: Problem, routes: Routes, task: int) -> tuple[int, float]:
+def _best_of_torn(problem: Problem, routes: Routes, task: int) -> tuple[int, float]:
+    """The best place on the routes that the ruin took tasks from, for it left room there; failing that, of all places."""
+    best, best_cost = UNSERVED, np.inf
+    for entry in range(routes.counters[NUM_TORN]):
+        best, best_cost = _best_on_route(problem, routes, task, np.int64(routes.torn[entry]), best, best_cost)
+    if best != UNSERVED:
+        return best, best_cost
+    return _best_of_all_places(problem, routes, task)
+
+
+@inner
+def _best_on_route(problem: Problem, routes: Routes, task: int, drone: int, best: int, best_cost: float) -> tuple[int, float]:
+    """The best place so far, or a better one on the drone's route."""
+    if problem.demand[task] > routes.room[drone]:
+        return best, best_cost
     num_tasks = len(problem.demand)
+    node = num_tasks + drone
+    while True:
+        cost = insertion_cost(problem, routes, task, node)
+        if cost < best_cost and fits_length(problem, routes, drone, cost):
+            best, best_cost = node, cost
+        node = routes.after[node]
+        if node >= num_tasks:
+            break
+    return best, best_cost
+
+
+@inner
+def _best_of_all_places(problem: Problem, routes: Routes, task: int) -> tuple[int, float]:
     best, best_cost = UNSERVED, np.inf
     for drone in range(len(problem.capacity)):
-        if problem.demand[task] > routes.room[drone]:
-            continue
-        node = num_tasks + drone
-        while True:
-            cost = insertion_cost(problem, routes, task, node)
-            if cost < best_cost and fits_length(problem, routes, drone, cost):
-                best, best_cost = node, cost
-            node = routes.after[node]
-            if node >= num_tasks:
-                break
+        best, best_cost = _best_on_route(problem, routes, task, drone, best, best_cost)
     return best, best_cost

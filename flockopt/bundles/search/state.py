@@ -45,7 +45,7 @@ __all__ = [
 UNSERVED = 2**32 - 1
 
 #: Slots of `Routes.counters`.
-NUM_WAITING, NUM_WAITED, NUM_LOGGED, NUM_RESTING, RUIN = range(5)
+NUM_WAITING, NUM_WAITED, NUM_LOGGED, NUM_RESTING, RUIN, NUM_TORN = range(6)
 
 #: Indices have no sign, so that numba does not look for negative ones at every access.
 IntArray = NDArray[np.uint32]
@@ -95,10 +95,11 @@ class Routes(NamedTuple):
     waiting: IntArray  # (M,) tasks not served
     waited: IntArray  # (M,) those that were not at the last commit
     ruined: NDArray[np.int64]  # (N,) number of the last ruin that took tasks from the route
+    torn: IntArray  # (N,) the routes that the last ruin took tasks from
     log_task: IntArray  # (2 M,) tasks moved since the last commit
     log_previous: IntArray  # (2 M,) the node it was taken from behind, or UNSERVED where it was put in
     sort_key: FloatArray  # (M,) scratch of the recreate step
-    counters: NDArray[np.int64]  # (5,) see NUM_WAITING and its neighbours
+    counters: NDArray[np.int64]  # (6,) see NUM_WAITING and its neighbours
     random: NDArray[np.uint64]  # (1,) state of the generator
 
 
@@ -108,7 +109,7 @@ PROBLEM = record_of(
     types.float64,
 )  # fmt: skip
 ROUTES = record_of(
-    Routes, *[INDICES_1] * 3, INTEGERS_1, FLOATS_1, *[INDICES_1] * 6, INTEGERS_1, *[INDICES_1] * 2, FLOATS_1, INTEGERS_1,
+    Routes, *[INDICES_1] * 3, INTEGERS_1, FLOATS_1, *[INDICES_1] * 6, INTEGERS_1, *[INDICES_1] * 3, FLOATS_1, INTEGERS_1,
     types.Array(types.uint64, 1, "C"),
 )  # fmt: skip
 
@@ -134,10 +135,11 @@ def empty_routes(problem: Problem, seed: int) -> Routes:
         waiting=nodes[:num_tasks].copy(),
         waited=nodes[:num_tasks].copy(),
         ruined=np.zeros(num_drones, dtype=np.int64),
+        torn=np.empty(num_drones, dtype=np.uint32),
         log_task=np.empty(2 * num_tasks, dtype=np.uint32),
         log_previous=np.empty(2 * num_tasks, dtype=np.uint32),
         sort_key=np.empty(num_tasks),
-        counters=np.array([num_tasks, num_tasks, 0, num_drones, 0], dtype=np.int64),
+        counters=np.array([num_tasks, num_tasks, 0, num_drones, 0, 0], dtype=np.int64),
         random=_seeded(seed),
     )
 

@@ -10,12 +10,14 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from flockopt.bundles.search import anneal as search_module
+from flockopt.bundles.search import construct
 from flockopt.bundles.search.anneal import default_iterations, search
 from flockopt.bundles.search.construct import build_problem, build_routes
 from flockopt.bundles.search.matching import MOST_ROUTES, _match, match_tails, matching_scratch
 from flockopt.bundles.search.moves import recreate, ruin
 from flockopt.bundles.search.state import (
     NUM_RESTING,
+    NUM_TORN,
     NUM_WAITING,
     UNSERVED,
     adopt,
@@ -26,6 +28,7 @@ from flockopt.bundles.search.state import (
     undo,
 )
 from tests.instances import random_instance
+from tests.known.brute_force import least_travel
 
 SETTINGS = [
     {"drones": 6, "tasks": 25, "capacity": 5},
@@ -91,6 +94,30 @@ def test_every_move_tells_its_cost_and_keeps_the_links_whole(settings):
         cost += match_tails(problem, routes, matching)
         links(problem, routes)
         assert cost == pytest.approx(total_cost(problem, routes), abs=1e-5)
+
+
+def test_without_a_place_near_by_tasks_go_back_to_the_ruined_routes(monkeypatch):
+    monkeypatch.setattr(construct, "NUM_NEAR", 0)
+    problem, routes = begun({"drones": 6, "tasks": 25, "capacity": 9}, 1)
+    for _ in range(50):
+        before = links(problem, routes)
+        ruin(problem, routes, 6.0)
+        torn = routes.torn[: routes.counters[NUM_TORN]].tolist()
+        recreate(problem, routes, 0, 0.0)
+        commit(routes)
+        after = links(problem, routes)
+        assert routes.counters[NUM_WAITING] == 0
+        assert len(torn) == 1
+        assert all(before[drone] in ([], after[drone]) for drone in range(6) if drone not in torn)
+
+
+def test_few_tasks_are_solved_from_every_seed():
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        scene, travel = random_instance(rng, drones=3, tasks=6, capacity=4)
+        least, problem = least_travel(scene, travel), build_problem(scene, travel)
+        found = [travel.total(search(problem, seed=seed)) for seed in range(10)]
+        assert found == pytest.approx([least] * 10, abs=1e-9)
 
 
 def test_matching_never_adds_travel_and_often_saves_some():
@@ -179,7 +206,7 @@ def test_iterations_are_counted_under_a_time_limit_too():
     scene, travel = random_instance(np.random.default_rng(5), drones=5, tasks=20, capacity=5)
     problem = build_problem(scene, travel)
     assert search(problem, time_limit_s=3600.0, iterations=0) == search(problem, iterations=0)
-    assert search(problem, time_limit_s=3600.0, iterations=200) != search(problem, iterations=0)
+    assert search(problem, time_limit_s=3600.0, iterations=2000) != search(problem, iterations=0)
 
 
 def test_the_default_grows_with_the_number_of_tasks():

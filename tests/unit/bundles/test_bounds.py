@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flockopt.batches.deadline import Deadline, OutOfTime
-from flockopt.bundles.bounds.bounds import lower_bound
+from flockopt.bundles.bounds.bounds import forest_bound, lower_bound
 from flockopt.bundles.exact.exact import solve_exact
 from flockopt.certificate.proof import recompute_bound
 from flockopt.errors import SettingsError
@@ -163,6 +163,14 @@ def test_what_no_judge_would_go_through_is_not_claimed():
     for kind in ("tight", "exact"):
         assert lower_bound(scene, travel, bound=kind).kind == "two-ended-forest"
     assert solve_exact(scene, travel).proven == pytest.approx(3.0)
+
+
+def test_many_tasks_are_priced_by_routes_too():
+    scene, travel = random_instance(np.random.default_rng(2), drones=40, tasks=300, capacity=9)
+    forest, bound = forest_bound(scene, travel), lower_bound(scene, travel, bound="tight")
+    assert bound.kind == "ng-route"
+    assert bound.value > 1.02 * forest.value
+    assert recompute_bound(scene, travel, bound) == pytest.approx(bound.value, rel=1e-12)
 
 
 @pytest.mark.parametrize(("setting", "value"), [("bound", "tightest"), ("upper", math.nan), ("upper", -1.0)])

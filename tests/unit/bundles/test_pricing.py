@@ -10,7 +10,7 @@ from flockopt.batches.deadline import Deadline
 from flockopt.bundles import Bound
 from flockopt.bundles.bounds import pricing
 from flockopt.bundles.bounds.ng_route import count_pairs, neighbourhood
-from flockopt.bundles.bounds.pricing import ascend_prices, evaluate, evaluate_any_end, group_drones, grow, route_loads
+from flockopt.bundles.bounds.pricing import ascend, ascend_prices, evaluate, evaluate_any_end, group_drones, grow, route_loads
 from flockopt.certificate.proof import recompute_bound
 from flockopt.travel import Travel
 from tests.instances import random_instance, random_scene
@@ -89,6 +89,21 @@ def test_the_ascent_never_ends_below_its_start():
     value, better = ascend_prices(groups, prices, rounds=30, upper=math.inf)
     assert (better >= 0).all()
     assert evaluate(groups, better)[0] == value > evaluate(groups, prices)[0]
+
+
+def test_what_a_first_step_reaches_for_can_be_less():
+    scene, travel = random_instance(np.random.default_rng(5), drones=3, tasks=9, capacity=4)
+    groups, prices, met = group_drones(scene, travel), np.ones(9), []
+
+    def slope(point):
+        met.append(point)
+        value, visits = evaluate(groups, point)
+        return value, 1.0 - visits
+
+    for reach in (0.04, 0.01):
+        ascend(slope, prices, np.zeros(9), rounds=2, upper=math.inf, reach=reach)
+    assert met[1] - prices == pytest.approx(4.0 * (met[3] - prices))
+    assert (met[1] != prices).any()
 
 
 def test_the_ascent_ends_where_its_time_does():
