@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from flockopt.outputs.devices.export import Export, export
     from flockopt.outputs.pictures.drawing import show
     from flockopt.planning.handover import Changes
-    from flockopt.planning.many import PlanRow, plan_many
     from flockopt.planning.pipeline import plan
     from flockopt.planning.planners import Planner, Proposal
     from flockopt.planning.replan import replan
@@ -36,10 +35,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bound", "Bounds", "Box", "Bundles", "Changes", "Curve", "Cylinder", "Drone", "Export", "Flight", "FlockError",
-    "MissingExtra", "Origin", "Plan", "PlanError", "PlanRow", "PlanSettings", "Planner", "Proposal", "Scene", "SceneError",
+    "MissingExtra", "Origin", "Plan", "PlanError", "PlanSettings", "Planner", "Proposal", "Scene", "SceneError",
     "SettingsError", "SolverFailed", "Sphere", "Task", "Travel", "Visit", "__version__", "certify", "compute_travel",
-    "decode", "deconflict", "export", "generate", "lower_bound", "plan", "plan_many", "refine_bundles", "replan", "show",
-    "smooth",
+    "decode", "deconflict", "export", "generate", "lower_bound", "plan", "refine_bundles", "replan", "show", "smooth",
 ]  # fmt: skip
 
 #: Which module defines each public name.
@@ -58,7 +56,6 @@ _HOMES = {
     "flockopt.outputs.pictures.drawing": ("show",),
     "flockopt.planning.pipeline": ("plan",),
     "flockopt.planning.handover": ("Changes",),
-    "flockopt.planning.many": ("PlanRow", "plan_many"),
     "flockopt.planning.planners": ("Planner", "Proposal"),
     "flockopt.planning.replan": ("replan",),
     "flockopt.planning.settings": ("PlanSettings",),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from itertools import islice
 from typing import Any, NamedTuple, TypeVar
 
 from flockopt.errors import SettingsError, require
@@ -47,11 +46,11 @@ def open_backend(name: str, jobs: int) -> Iterator[Backend]:
 def outcomes(
     place: Backend,
     work: Callable[[Item], Returned],
-    items: Iterable[Item],
+    items: Sequence[Item],
     ahead: int,
     begun: Callable[[Item], object] = lambda item: None,
 ) -> Iterator[Returned]:
-    """What comes of each item, as it comes; within `open_backend`. Items are taken as there is room for them.
+    """What comes of each item, as it comes; within `open_backend`.
 
     Args:
         place: What `open_backend` gave.
@@ -62,7 +61,7 @@ def outcomes(
     """
     from joblib import Parallel, delayed
 
-    def handed_out(some: Iterable[Item]) -> Iterator[object]:
+    def handed_out(some: Sequence[Item]) -> Iterator[object]:
         for item in some:
             begun(item)
             yield delayed(work)(item)
@@ -70,9 +69,8 @@ def outcomes(
     if place.streams:
         yield from Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)(handed_out(items))
         return
-    left = iter(items)
-    while some := list(islice(left, ahead)):
-        yield from Parallel(batch_size=1)(handed_out(some))
+    for begin in range(0, len(items), ahead):
+        yield from Parallel(batch_size=1)(handed_out(items[begin : begin + ahead]))
 
 
 def run_round(

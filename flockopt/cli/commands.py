@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flockopt.batches.progress import ProgressBar, StageLine
+from flockopt.batches.progress import StageLine
 from flockopt.cli import text
 from flockopt.errors import FieldError, MissingExtra, PlanError, SceneError, SettingsError
 from flockopt.planning.entries import EVERYTHING, JUDGING, PLANNING, entries_of
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 #: Stands for stdin where a file is read, and for stdout where one is written.
 STANDARD = "-"
 
-__all__ = ["compile_all", "export", "generate", "plan", "plan_many", "show", "verify"]
+__all__ = ["compile_all", "export", "generate", "plan", "show", "verify"]
 
 #: Starts a process that compiles a share, see `flockopt.batches.compiling.serve`.
 COMPILE_A_SHARE = (sys.executable, "-P", "-m", "flockopt", "compile", "--share")
@@ -59,38 +59,6 @@ def plan(options: argparse.Namespace) -> int:
     if not options.quiet:
         text.emit(text.plan_report(scene, result), aside=options.output == STANDARD)
     return 0 if result.status == Status.CERTIFIED else 1
-
-
-def plan_many(options: argparse.Namespace) -> int:
-    """Plan many scenes, a row each: 0 when all are certified, 1 when not."""
-    paths = [path for given in options.scenes for path in _scene_files(given)]
-    from flockopt.planning.many import plan_many as plan_scenes
-
-    rows = plan_scenes(
-        paths, out=options.output, keep_plans=options.keep_plans, jobs=options.jobs, workers=options.workers,
-        planner=options.planner, time_limit_s=options.time_limit, seed=options.seed,
-    )  # fmt: skip
-    bar, done = None if options.quiet else ProgressBar(len(paths)), []
-    for row in rows:
-        done.append((row.status, row.gap, row.seconds.get("total", 0.0)))
-        if bar is not None:
-            bar.advance(f"{row.scene}: {row.status}")
-            if row.status == "error":
-                bar.note(f"{row.scene}: {row.reason}")
-    if bar is not None:
-        bar.close()
-        text.emit(text.study_report(done))
-    return 0 if all(status == Status.CERTIFIED for status, _, _ in done) else 1
-
-
-def _scene_files(given: str) -> list[Path]:
-    """A file, or all scene files of a folder, by name."""
-    if not os.path.isdir(given):
-        return [Path(given)]
-    found = sorted(Path(given).glob("*.json"))
-    if not found:
-        raise SceneError("", f"{given} holds no .json file", "a folder is to hold scene files", "give another, or the files")
-    return found
 
 
 def compile_all(options: argparse.Namespace) -> int:

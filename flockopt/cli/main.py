@@ -22,14 +22,6 @@ PLAN_EXAMPLES = """examples:
   flockopt plan scene.json -o plan.json --time-limit 5 --bound tight --seed 3
   flockopt plan scene.json -o plan.json --planner exact    the least travel, with a proof that verify checks again"""
 
-MANY_EXAMPLES = """Each scene is planned once, and its row written through to DIR/rows.jsonl as it comes: scene, digest, status,
-costs, seconds by stage. Stop it when you like: the same command goes on where it stopped. A scene that cannot be read or
-planned becomes a row with the status error, and the others go on.
-
-examples:
-  flockopt plan-many scenes/ -o study --jobs 8
-  flockopt plan-many a.json b.json -o study --planner classical --seed 3 --time-limit 2 --keep-plans"""
-
 VERIFY_EXAMPLES = """Nothing in the plan's own certificate is believed: coverage, capacities, limits, clearances,
 separations and the lower bound are computed anew, in continuous time, from the scene and the plan's polynomials.
 
@@ -98,7 +90,6 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", dest="command", required=True, metavar="COMMAND")
 
     _add_plan(commands)
-    _add_plan_many(commands)
     verify = _command(commands, "verify", "check a plan anew, clause by clause", VERIFY_EXAMPLES, work.verify)
     verify.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file, or - for stdin")
     verify.add_argument(
@@ -135,25 +126,6 @@ def _parser() -> argparse.ArgumentParser:
     compile_all.add_argument("--quiet", action="store_true", help="print no progress and no count")
     compile_all.add_argument("--share", action="store_true", help=argparse.SUPPRESS)  # one of the processes that do it
     return parser
-
-
-def _add_plan_many(commands: argparse._SubParsersAction) -> None:
-    """The command ``plan-many`` and its options."""
-    from flockopt.cli import commands as work
-
-    many = _command(commands, "plan-many", "plan many scenes side by side, resumable", MANY_EXAMPLES, work.plan_many)
-    many.add_argument("scenes", metavar="SCENE", nargs="+", help="flockopt.scene/1 files, and folders of them (*.json)")
-    many.add_argument("-o", "--output", required=True, metavar="DIR", help="a folder for the rows, new or of an earlier run")
-    many.add_argument("--planner", metavar="NAME", help="who proposes (default: the ready one of the highest rank)")
-    many.add_argument("--time-limit", type=_seconds, metavar="S", help="seconds for each plan (default: no limit)")
-    many.add_argument("--seed", type=_whole(0), default=0, metavar="N", help="for everything random (default: 0)")
-    many.add_argument("--jobs", type=_whole(1), default=1, metavar="N", help="plans made at a time (default: 1)")
-    many.add_argument(
-        "--workers", default="loky", metavar="KIND", choices=("loky", "threading", "dask", "ray"),
-        help="where: loky (processes, the default), threading, dask or ray",
-    )  # fmt: skip
-    many.add_argument("--keep-plans", action="store_true", help="write plan files as well, into DIR/plans")
-    many.add_argument("--quiet", action="store_true", help="print no progress and no table")
 
 
 def _add_plan(commands: argparse._SubParsersAction) -> None:

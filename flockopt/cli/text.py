@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import os
-import statistics
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -18,16 +17,7 @@ if TYPE_CHECKING:
     from flockopt.outputs.devices.export import Export
     from flockopt.scene import Scene
 
-__all__ = [
-    "certificate_report",
-    "emit",
-    "export_report",
-    "let_go",
-    "plan_report",
-    "printable",
-    "study_report",
-    "trajectories_report",
-]
+__all__ = ["certificate_report", "emit", "export_report", "let_go", "plan_report", "printable", "trajectories_report"]
 
 
 def emit(text: str, *, aside: bool = False) -> None:
@@ -132,17 +122,6 @@ def export_report(plan: Plan, path: str, outcome: Export) -> str:
         if plan.status != Status.CERTIFIED:
             lines.append(f"warning: the plan is {plan.status}; do not fly it before `flockopt verify` holds")
     return "\n".join(printable(line) for line in lines)
-
-
-def study_report(done: Sequence[tuple[str, float | None, float]]) -> str:
-    """What became of many scenes: how many of each status, with the medians of their gaps and of their seconds."""
-    rows = []
-    for status in sorted({status for status, _, _ in done}):
-        of_it = [(gap, seconds) for found, gap, seconds in done if found == status]
-        gaps = [gap for gap, _ in of_it if gap is not None]
-        middle = f"{statistics.median(gaps):.2%}" if gaps else "-"
-        rows.append((status, str(len(of_it)), middle, f"{statistics.median(seconds for _, seconds in of_it):.3g}"))
-    return table(("status", "scenes", "gap", "seconds"), rows, right=(1, 2, 3))
 
 
 def _verdict(certificate: Certificate) -> str:

@@ -1,20 +1,25 @@
-"""The record of a batch of flights, and its tables."""
+"""The record of a batch: a line a flight, appended whole, so that a run that was killed goes on where it stopped."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
+import os
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from flockopt.batches import journal
+from flockopt.batches.run_folder import RunFolder
 from flockopt.errors import SettingsError
-from flockopt.records import files
+from flockopt.records import checks, files
 from sim.trials.trial import COLUMNS, TIMINGS, Result, Value
 
 __all__ = ["Journal", "table"]
+
+ROWS = "rows.jsonl"
 
 
 class Journal:
@@ -30,22 +35,44 @@ class Journal:
 
     def __init__(self, folder: Path, terms: dict[str, Any]) -> None:
         self.folder = folder
-        self._lines = journal.Journal(folder, terms, "flights", ("row", "timing"))
-        self.results = {key: Result(key, record["row"], record["timing"]) for key, record in self._lines.records.items()}
+        self.results: dict[str, Result] = {}
+        self._run = RunFolder(folder, terms, "flights")
+        with ExitStack() as unless_opened:
+            unless_opened.callback(self._run.close)
+            self._read()
+            self._file = os.open(self.folder / ROWS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+            unless_opened.pop_all()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None) -> None:
-        self._lines.__exit__(kind, fault, trace)
+        os.close(self._file)
+        self._run.close()
 
     def __contains__(self, key: str) -> bool:
         return key in self.results
 
     def add(self, result: Result) -> None:
         """Append a result, through to the disk; one that is there already changes nothing."""
-        self._lines.add(result.key, {"row": dict(result.row), "timing": dict(result.timing)})
-        self.results.setdefault(result.key, result)
+        if result.key in self.results:
+            return
+        line = json.dumps({"key": result.key, "row": dict(result.row), "timing": dict(result.timing)})
+        os.write(self._file, line.encode() + b"\n")
+        os.fsync(self._file)
+        self.results[result.key] = result
+
+    def _read(self) -> None:
+        """Read the lines that are whole; what a kill left of the last one is cut off."""
+        path = self.folder / ROWS
+        content = path.read_bytes() if path.exists() else b""
+        whole = content[: content.rfind(b"\n") + 1]
+        if len(whole) < len(content):
+            os.truncate(path, len(whole))
+        for number, line in enumerate(whole.decode().splitlines(), start=1):
+            record = files.parse_json(SettingsError, line, f"{path} line {number}")
+            fields = checks.keys(SettingsError, record, ("key", "row", "timing"))
+            self.results.setdefault(fields["key"], Result(fields["key"], fields["row"], fields["timing"]))
 
     def write_tables(self, keys: Sequence[str]) -> None:
         """Write ``flights.csv`` and ``timings.csv``: the flights of these keys, in their order, whole or not at all."""
