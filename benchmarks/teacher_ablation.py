@@ -135,8 +135,9 @@ def _records(options: argparse.Namespace) -> list[Record]:
                 trials, journal, jobs=jobs, backend=options.backend, work=fly,
                 done=partial(_tell, bar, method), warn=bar.note,
             )  # fmt: skip
+            results = journal.results
             for trial in trials:
-                result = journal.results[trial.key]
+                result = results[trial.key]
                 found[method, trial.key] = {**result.row, "method": method, "allocate_s": result.timing.get("allocate_s")}
     bar.close()
     return _compared(found)

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from flockopt.outputs.devices.export import Export, export
     from flockopt.outputs.pictures.drawing import show
     from flockopt.planning.handover import Changes
+    from flockopt.planning.many import plan_many
     from flockopt.planning.pipeline import plan
+    from flockopt.planning.plan_row import PlanRow
     from flockopt.planning.planners import Planner, Proposal
     from flockopt.planning.replan import replan
     from flockopt.planning.settings import PlanSettings
@@ -35,9 +37,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bound", "Bounds", "Box", "Bundles", "Changes", "Curve", "Cylinder", "Drone", "Export", "Flight", "FlockError",
-    "MissingExtra", "Origin", "Plan", "PlanError", "PlanSettings", "Planner", "Proposal", "Scene", "SceneError",
-    "SettingsError", "SolverFailed", "Sphere", "Task", "Travel", "Visit", "__version__", "certify", "compute_travel",
-    "decode", "deconflict", "export", "generate", "lower_bound", "plan", "refine_bundles", "replan", "show", "smooth",
+    "MissingExtra", "Origin", "Plan", "PlanError", "PlanRow", "PlanSettings", "Planner", "Proposal", "Scene", "SceneError",
+    "SettingsError", "SolverFailed", "Sphere", "Task", "Travel", "Visit", "__version__", "certify", "compute_travel", "decode",
+    "deconflict", "export", "generate", "lower_bound", "plan", "plan_many", "refine_bundles", "replan", "show", "smooth",
 ]  # fmt: skip
 
 #: Which module defines each public name.
@@ -54,7 +56,9 @@ _HOMES = {
     "flockopt.flights.smoothing.smooth": ("smooth",),
     "flockopt.outputs.devices.export": ("Export", "export"),
     "flockopt.outputs.pictures.drawing": ("show",),
+    "flockopt.planning.many": ("plan_many",),
     "flockopt.planning.pipeline": ("plan",),
+    "flockopt.planning.plan_row": ("PlanRow",),
     "flockopt.planning.handover": ("Changes",),
     "flockopt.planning.planners": ("Planner", "Proposal"),
     "flockopt.planning.replan": ("replan",),

@@ -9,7 +9,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-__all__ = ["FieldError", "FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed", "require"]
+__all__ = [
+    "FieldError", "FlockError", "MissingExtra", "PlanError", "SceneError", "SettingsError", "SolverFailed", "is_interrupt",
+    "require",
+]  # fmt: skip
 
 
 class FlockError(Exception):
@@ -86,3 +89,12 @@ class SolverFailed(FlockError, RuntimeError):
     def __init__(self, solver: str, message: str) -> None:
         self.solver = solver
         super().__init__(f"{solver} failed: {message}")
+
+
+def is_interrupt(fault: BaseException | None) -> bool:
+    """Whether it is an interrupt; one that comes while compiled code makes its result is the cause of another error."""
+    while fault is not None:
+        if isinstance(fault, KeyboardInterrupt):
+            return True
+        fault = fault.__cause__ or fault.__context__
+    return False

@@ -128,7 +128,8 @@ def _evaluate(options: argparse.Namespace) -> int:
         run_batch(trials, journal, jobs=options.jobs, backend=options.backend, done=done, warn=bar.note)
         bar.close()
         journal.write_tables([trial.key for trial in trials])
-        results = [journal.results[trial.key] for trial in trials]
+        found = journal.results
+    results = [found[trial.key] for trial in trials]
     rows = [result.row for result in results]
     heading = f"# Flights\n\n`python -m sim.evaluate {shlex.join(options.words)}`\n"
     text = summary_text(heading, rows, [result.timing for result in results])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from itertools import islice
 from typing import Any, NamedTuple, TypeVar
 
 from flockopt.errors import SettingsError, require
@@ -19,17 +22,19 @@ class Backend(NamedTuple):
     """What a batch must know of where it runs.
 
     Attributes:
+        configured: Has joblib run there what is made within a ``with`` statement.
         deaths: Exceptions that say that a worker died.
         streams: Whether joblib can give each result as soon as it is there.
     """
 
+    configured: Callable[[], AbstractContextManager[Any]]
     deaths: tuple[type[BaseException], ...]
     streams: bool = True
 
 
 @contextmanager
 def open_backend(name: str, jobs: int) -> Iterator[Backend]:
-    """Let joblib run on a backend within a ``with`` statement; gives what to know of it.
+    """Have a backend there within a ``with`` statement; gives what to know of it, for `outcomes`.
 
     Args:
         name: One of `BACKENDS`.
@@ -46,31 +51,45 @@ def open_backend(name: str, jobs: int) -> Iterator[Backend]:
 def outcomes(
     place: Backend,
     work: Callable[[Item], Returned],
-    items: Sequence[Item],
+    items: Iterable[Item],
     ahead: int,
     begun: Callable[[Item], object] = lambda item: None,
 ) -> Iterator[Returned]:
     """What comes of each item, as it comes; within `open_backend`.
 
+    Whoever reads it may use joblib in between as if nobody else did.
+
     Args:
         place: What `open_backend` gave.
         work: What a worker does with an item.
-        items: All there is to do.
+        items: All there is to do; a thread of joblib's may ask for the next one.
         ahead: How many items are handed out beyond what has come back, at most.
         begun: Told of every item that is handed out.
     """
     from joblib import Parallel, delayed
 
-    def handed_out(some: Sequence[Item]) -> Iterator[object]:
+    def handed_out(some: Iterable[Item]) -> Iterator[object]:
         for item in some:
             begun(item)
             yield delayed(work)(item)
 
     if place.streams:
-        yield from Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)(handed_out(items))
+        with place.configured():
+            parallel = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)
+        running = parallel(handed_out(items))
+        try:
+            for returned in running:  # not `yield from`, which would close it before the warning is let be
+                yield returned
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # who stops reading knows that some items are left
+                running.close()
         return
-    for begin in range(0, len(items), ahead):
-        yield from Parallel(batch_size=1)(handed_out(items[begin : begin + ahead]))
+    rest = iter(items)
+    while some := list(islice(rest, ahead)):
+        with place.configured():
+            parallel = Parallel(batch_size=1)
+        yield from parallel(handed_out(some))
 
 
 def run_round(
@@ -108,16 +127,14 @@ def _processes(jobs: int) -> Iterator[Backend]:
     from joblib import parallel_config
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
-        yield Backend((BrokenProcessPool,))
+    yield Backend(partial(parallel_config, backend="loky", n_jobs=jobs, inner_max_num_threads=1), (BrokenProcessPool,))
 
 
 @contextmanager
 def _threads(jobs: int) -> Iterator[Backend]:
     from joblib import parallel_config
 
-    with parallel_config(backend="threading", n_jobs=jobs):
-        yield Backend(())
+    yield Backend(partial(parallel_config, backend="threading", n_jobs=jobs), ())
 
 
 @contextmanager
@@ -128,14 +145,15 @@ def _dask(jobs: int) -> Iterator[Backend]:
     from distributed import Client, KilledWorker, LocalCluster
     from joblib import parallel_config
 
+    place = Backend(partial(parallel_config, backend="dask"), (KilledWorker,))
     address = config.get("scheduler-address", None)
     if address is not None:
-        with Client(address), parallel_config(backend="dask"):
-            yield Backend((KilledWorker,))
+        with Client(address):
+            yield place
         return
     local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, host="127.0.0.1")
-    with local, Client(local), parallel_config(backend="dask"):
-        yield Backend((KilledWorker,))
+    with local, Client(local):
+        yield place
 
 
 @contextmanager
@@ -150,9 +168,9 @@ def _ray(jobs: int) -> Iterator[Backend]:
     local: dict[str, Any] = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "include_dashboard": False}
     ray.init(log_to_driver=False, configure_logging=False, **local)
     register_ray()
+    deaths = ray.exceptions.RayActorError, ray.exceptions.WorkerCrashedError
     try:
-        with parallel_config(backend="ray", n_jobs=jobs):
-            yield Backend((ray.exceptions.RayActorError, ray.exceptions.WorkerCrashedError), streams=False)
+        yield Backend(partial(parallel_config, backend="ray", n_jobs=jobs), deaths, streams=False)
     finally:
         ray.shutdown()
 

@@ -37,19 +37,20 @@ class ProgressBar:
     """Counts what is done.
 
     Args:
-        total: How much there is to do.
+        total: How much there is to do; None where nobody knows.
         done: How much of it was done before.
     """
 
-    def __init__(self, total: int, done: int = 0) -> None:
+    def __init__(self, total: int | None, done: int = 0) -> None:
         self._total, self._done, self._before = total, done, done
         self._begun, self._live = time.monotonic(), _is_terminal()
         self._told = done
         self._draw("")
 
-    def advance(self, words: str) -> None:
-        """One more is done; the words say which."""
+    def advance(self, words: str, *, is_new: bool = True) -> None:
+        """One more is done, or turns out to have been done before; the words say which."""
         self._done += 1
+        self._before += not is_new
         self._draw(words)
 
     def note(self, words: str) -> None:
@@ -62,18 +63,26 @@ class ProgressBar:
             _say("")
 
     def _draw(self, words: str) -> None:
-        share = self._done / self._total if self._total else 1.0
-        bar = ("#" * round(WIDTH * share)).ljust(WIDTH, ".")
-        text = f"[{bar}] {self._done}/{self._total} {self._left()} {words}".rstrip()
+        text = f"{self._so_far()} {self._left()} {words}".rstrip()
         if self._live:
             _say(f"{self._fresh()}{text}", end="")
-        elif self._done - self._told >= SHARE_A_LINE * self._total or self._done == self._total:
+        elif self._done - self._told >= self._step() or self._done == self._total:
             _say(text)
             self._told = self._done
 
+    def _so_far(self) -> str:
+        if self._total is None:
+            return f"{self._done} done"
+        share = self._done / self._total if self._total else 1.0
+        return f"[{('#' * round(WIDTH * share)).ljust(WIDTH, '.')}] {self._done}/{self._total}"
+
+    def _step(self) -> float:
+        """After how many more a line is due where stderr is no terminal."""
+        return max(self._told, 1) if self._total is None else SHARE_A_LINE * self._total
+
     def _left(self) -> str:
         made = self._done - self._before
-        if not made or self._done == self._total:
+        if not made or self._total is None or self._done == self._total:
             return ""
         seconds = (time.monotonic() - self._begun) / made * (self._total - self._done)
         return f"{seconds:.0f} s left"

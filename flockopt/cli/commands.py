@@ -24,11 +24,12 @@ from flockopt.scene import Scene
 
 if TYPE_CHECKING:
     from flockopt.certificate import Plan
+    from flockopt.planning.settings import PlanSettings
 
 #: Stands for stdin where a file is read, and for stdout where one is written.
 STANDARD = "-"
 
-__all__ = ["compile_all", "export", "generate", "plan", "show", "verify"]
+__all__ = ["compile_all", "export", "generate", "plan", "plan_many", "show", "verify"]
 
 #: Starts a process that compiles a share, see `flockopt.batches.compiling.serve`.
 COMPILE_A_SHARE = (sys.executable, "-P", "-m", "flockopt", "compile", "--share")
@@ -44,12 +45,8 @@ def plan(options: argparse.Namespace) -> int:
     for path in options.show:
         _check_drawable("--show", path)
     from flockopt.planning.pipeline import plan as plan_scene  # late: compiled code takes a second to load
-    from flockopt.planning.settings import PlanSettings
 
-    settings = PlanSettings(
-        planner=options.planner, time_limit_s=options.time_limit, seed=options.seed, bound=options.bound,
-        smoothing=options.smooth, tracking_margin_m=options.tracking_margin, paths=options.paths, backend=options.backend,
-    )  # fmt: skip
+    settings = _settings(options)
     with StageLine(quiet=options.quiet) as progress, _compiling(progress, PLANNING):
         result = plan_scene(scene, settings, progress=progress)
         _write(options.output, result)
@@ -59,6 +56,37 @@ def plan(options: argparse.Namespace) -> int:
     if not options.quiet:
         text.emit(text.plan_report(scene, result), aside=options.output == STANDARD)
     return 0 if result.status == Status.CERTIFIED else 1
+
+
+def plan_many(options: argparse.Namespace) -> int:
+    """Plan many scenes, a row each: 0 when all are certified, 1 when not."""
+    from flockopt.planning.many import TABLE, scene_files
+    from flockopt.planning.many import plan_many as plan_scenes
+
+    scenes = scene_files(*options.scenes)
+    settings, report = _settings(options), text.RowsReport()
+    rows = plan_scenes(
+        scenes, settings, out=options.out, jobs=options.jobs, workers=options.workers, keep_plans=options.keep_plans,
+        progress=not options.quiet,
+    )  # fmt: skip
+    with StageLine(quiet=options.quiet) as progress, _compiling(progress, PLANNING):
+        for entry in entries_of(PLANNING).values():
+            entry.compile()  # here, by all cores, and not by each worker
+    for row in rows:
+        report.add(row)
+    if not options.quiet:
+        text.emit(report.words(os.path.join(options.out, TABLE)))
+    return 0 if report.is_certified else 1
+
+
+def _settings(options: argparse.Namespace) -> PlanSettings:
+    """How to plan, as the options say."""
+    from flockopt.planning.settings import PlanSettings
+
+    return PlanSettings(
+        planner=options.planner, time_limit_s=options.time_limit, seed=options.seed, bound=options.bound,
+        smoothing=options.smooth, tracking_margin_m=options.tracking_margin, paths=options.paths, backend=options.backend,
+    )  # fmt: skip
 
 
 def compile_all(options: argparse.Namespace) -> int:

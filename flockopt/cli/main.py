@@ -12,7 +12,7 @@ from flockopt.errors import SettingsError
 
 __all__ = ["main"]
 
-STATUSES = """exit status: 0 all is well; 1 the plan is not certified, the scene is infeasible, or the plan does not fit the
+STATUSES = """exit status: 0 all is well; 1 a plan is not certified, a scene is infeasible, or a plan does not fit the
 device (the output says why); 2 bad input (one line on stderr says what and how to mend it; nothing is written); 3 the machine
 or the program fails (one line says how); 130 interrupted from the keyboard"""
 
@@ -21,6 +21,22 @@ PLAN_EXAMPLES = """examples:
   flockopt plan scene.json -o plan.json --show plan.png --show plan.html
   flockopt plan scene.json -o plan.json --time-limit 5 --bound tight --seed 3
   flockopt plan scene.json -o plan.json --planner exact    the least travel, with a proof that verify checks again"""
+
+PLAN_MANY_EXAMPLES = """Plans every scene, each for itself, and writes to the folder DIR
+  rows.jsonl    a line of JSON a scene, as it is done: name, file, digest, planner, seed, status, certified, tasks not served,
+                cost, bound, gap, makespan, reason, seconds by stage
+  rows.csv      the same as a table, in the order of the scenes, when all are done
+  plans/        with --keep-plans, a plan file a scene
+A scene that cannot be read or planned is a row with the reason, and stops no other. Stopped by Ctrl-C or killed, the same
+command goes on where it stopped, and tries again what gave an error. The same seed gives the same rows, but for seconds,
+whatever --jobs is; only a time limit makes them depend on the machine. Planners with networks answer many scenes at once
+where there is no time limit.
+
+examples:
+  flockopt plan-many scenes/ --out runs/first
+  flockopt plan-many scenes/*.json --planner classical --jobs 4 --out runs/classical --keep-plans
+  flockopt plan-many scenes/ --planner teacher --seed 3 --jobs 2 --out runs/teacher
+  flockopt plan-many scenes/ --workers dask --jobs 8 --out runs/dask    on the cluster of DASK_SCHEDULER_ADDRESS, else here"""
 
 VERIFY_EXAMPLES = """Nothing in the plan's own certificate is believed: coverage, capacities, limits, clearances,
 separations and the lower bound are computed anew, in continuous time, from the scene and the plan's polynomials.
@@ -90,6 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", dest="command", required=True, metavar="COMMAND")
 
     _add_plan(commands)
+    _add_plan_many(commands)
     verify = _command(commands, "verify", "check a plan anew, clause by clause", VERIFY_EXAMPLES, work.verify)
     verify.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file, or - for stdin")
     verify.add_argument(
@@ -135,6 +152,38 @@ def _add_plan(commands: argparse._SubParsersAction) -> None:
     plan = _command(commands, "plan", "plan a scene: routes, trajectories, certificate", PLAN_EXAMPLES, work.plan)
     plan.add_argument("scene", metavar="SCENE", help="a flockopt.scene/1 file, or - for stdin")
     plan.add_argument("-o", "--output", required=True, metavar="PLAN", help="where to write the plan, or - for stdout")
+    _add_settings(plan)
+    plan.add_argument("--show", action="append", default=[], metavar="FILE", help="draw it too: .png or .html; repeatable")
+    plan.add_argument("--quiet", action="store_true", help="print no table and no progress")
+
+
+def _add_plan_many(commands: argparse._SubParsersAction) -> None:
+    """The command ``plan-many`` and its options."""
+    from flockopt.cli import commands as work
+
+    summary = "plan many scenes: a row each, by several workers"
+    many = _command(commands, "plan-many", summary, PLAN_MANY_EXAMPLES, work.plan_many)
+    many.add_argument(
+        "scenes",
+        nargs="+",
+        metavar="SCENES",
+        help="flockopt.scene/1 files, or folders of them (*.json, in order of their names)",
+    )
+    many.add_argument(
+        "-o", "--out", required=True, metavar="DIR", help="folder for the rows: a new one, or that of a run to be continued"
+    )
+    _add_settings(many)
+    many.add_argument("--jobs", type=_whole(1), default=1, metavar="N", help="scenes planned side by side (default: 1)")
+    many.add_argument(
+        "--workers", default="loky", metavar="NAME", choices=("loky", "threading", "dask", "ray"),
+        help="who plans them: loky (processes, the default), threading, dask or ray",
+    )  # fmt: skip
+    many.add_argument("--keep-plans", action="store_true", help="write each plan as a plan file too")
+    many.add_argument("--quiet", action="store_true", help="print no summary and no progress")
+
+
+def _add_settings(plan: argparse.ArgumentParser) -> None:
+    """Options that say how to plan."""
     plan.add_argument(
         "--planner", metavar="NAME",
         help="who proposes: classical (search), exact (the optimum, proven), ortools, or one that an installed package adds, "
@@ -157,8 +206,6 @@ def _add_plan(commands: argparse._SubParsersAction) -> None:
         help="how far drones may stray in flight, metres: keep that much more clearance and twice that much more separation "
         "where there is room (default: 0)",
     )  # fmt: skip
-    plan.add_argument("--show", action="append", default=[], metavar="FILE", help="draw it too: .png or .html; repeatable")
-    plan.add_argument("--quiet", action="store_true", help="print no table and no progress")
 
 
 def _command(

@@ -11,7 +11,7 @@ from contextlib import suppress
 
 from flockopt.batches.deadline import is_still_at_work
 from flockopt.cli.text import let_go, printable
-from flockopt.errors import FlockError
+from flockopt.errors import FlockError, is_interrupt
 
 __all__ = ["FAILED", "INTERRUPTED", "refuse", "run_command"]
 
@@ -40,7 +40,7 @@ def run_command(name: str, work: Callable[[], int | None]) -> int:
     except FlockError as fault:
         return refuse(name, str(fault), BAD_INPUT)
     except (KeyboardInterrupt, Exception) as fault:
-        if _is_interrupt(fault):
+        if is_interrupt(fault):
             return _interrupted(name)
         let_go(sys.stdout)
         if os.environ.get(TRACEBACK):
@@ -53,15 +53,6 @@ def refuse(name: str, message: str, status: int) -> int:
     with suppress(OSError):
         print(f"{name}: {printable(message)}", file=sys.stderr, flush=True)
     return status
-
-
-def _is_interrupt(fault: BaseException | None) -> bool:
-    """Whether it is an interrupt; one that comes while compiled code makes its result is the cause of another error."""
-    while fault is not None:
-        if isinstance(fault, KeyboardInterrupt):
-            return True
-        fault = fault.__cause__ or fault.__context__
-    return False
 
 
 def _interrupted(name: str) -> int:

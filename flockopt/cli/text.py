@@ -6,8 +6,11 @@ import io
 import math
 import os
 import sys
+from array import array
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from statistics import fmean, median
 from typing import TYPE_CHECKING
 
 from flockopt.records.status import Status
@@ -15,9 +18,26 @@ from flockopt.records.status import Status
 if TYPE_CHECKING:
     from flockopt.certificate import Certificate, Clause, Plan
     from flockopt.outputs.devices.export import Export
+    from flockopt.planning.plan_row import PlanRow
     from flockopt.scene import Scene
 
-__all__ = ["certificate_report", "emit", "export_report", "let_go", "plan_report", "printable", "trajectories_report"]
+#: How many of the scenes that are not certified are named; their rows name all.
+NAMED = 10
+
+__all__ = [
+    "RowsReport",
+    "certificate_report",
+    "emit",
+    "export_report",
+    "let_go",
+    "plan_report",
+    "printable",
+    "trajectories_report",
+]
+
+
+#: What is told of the rows of certified plans, in words, and the field that holds it.
+ROW_NUMBERS = {"cost, m": "cost", "gap": "gap", "makespan, s": "makespan", "planning, s": "seconds"}
 
 
 def emit(text: str, *, aside: bool = False) -> None:
@@ -111,6 +131,46 @@ def trajectories_report(scene: Scene, plan: Plan, rounding: float, certificate: 
     if rounding:
         words += f"; coefficients are known to {rounding:g}: jumps that this explains are let pass"
     return "\n\n".join([words, _drone_table(scene, plan), certificate_report(certificate)])
+
+
+class RowsReport:
+    """What rows of many scenes amount to; only numbers are kept of them."""
+
+    def __init__(self) -> None:
+        self._statuses: Counter[Status] = Counter()
+        self._numbers: dict[str, array[float]] = {name: array("d") for name in ROW_NUMBERS.values()}
+        self._named: list[str] = []
+
+    def add(self, row: PlanRow) -> None:
+        """Take a row into account."""
+        self._statuses[row.status] += 1
+        if not row.certified and len(self._named) < NAMED:
+            self._named.append(f"{row.source or row.scene}: {row.status}: {row.reason}")
+        if row.certified:
+            for name, numbers in self._numbers.items():
+                value = row.seconds["total"] if name == "seconds" else getattr(row, name)
+                if value is not None:
+                    numbers.append(value)
+
+    @property
+    def is_certified(self) -> bool:
+        """Whether every plan is."""
+        return set(self._statuses) <= {Status.CERTIFIED}
+
+    def words(self, path: str) -> str:
+        """How many scenes came to what, how their numbers spread, and the first of those that are not certified."""
+        counts = [f"{count} {status}" for status, count in sorted(self._statuses.items())]
+        parts = [f"{sum(self._statuses.values())} scenes: {', '.join(counts) or 'nothing to plan'}"]
+        rows = [(words, *_spread(self._numbers[name])) for words, name in ROW_NUMBERS.items() if self._numbers[name]]
+        if rows:
+            parts.append(table(("certified plans", "mean", "least", "median", "most"), rows, right=(1, 2, 3, 4)))
+        others = sum(self._statuses.values()) - self._statuses[Status.CERTIFIED] - len(self._named)
+        parts += ["\n".join(map(printable, [*self._named, *([f"and {others} more"] if others else [])]))] if self._named else []
+        return "\n\n".join([*parts, printable(f"a row each in {path}")])
+
+
+def _spread(numbers: Sequence[float]) -> list[str]:
+    return [f"{value:.4g}" for value in (fmean(numbers), min(numbers), median(numbers), max(numbers))]
 
 
 def export_report(plan: Plan, path: str, outcome: Export) -> str:

@@ -7,7 +7,7 @@ add planners through the entry-point group ``flockopt.planners`` (docs/adding-a-
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
@@ -106,6 +106,8 @@ class Planner:
         is_ready: Whether all that it needs is there (weights, libraries), beyond what its module imports.
         takes_backend: Whether it heeds `Request.backend`: it has networks.
         rank: Where no planner is named, the ready one of the highest rank plans; 0 is never chosen unasked.
+        propose_many: From several requests, alike but for scene, travel and seed, to their proposals, in their order: for
+            networks that answer many scenes at once (`flockopt.plan_many`). None to have them proposed for one by one.
     """
 
     propose: Callable[[Request], Proposal]
@@ -114,6 +116,7 @@ class Planner:
     is_ready: Callable[[], bool] = _always
     takes_backend: bool = False
     rank: int = 0
+    propose_many: Callable[[Sequence[Request]], Sequence[Proposal]] | None = None
 
     def __post_init__(self) -> None:
         propose: object = self.propose

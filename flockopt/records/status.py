@@ -8,7 +8,7 @@ __all__ = ["Status"]
 
 
 class Status(StrEnum):
-    """The status of bundles or of a plan.
+    """The status of bundles, of a plan, or of a scene among many.
 
     Members are strings, so that ``plan.status == "certified"`` holds and files keep their words.
 
@@ -31,6 +31,8 @@ class Status(StrEnum):
     UNCERTIFIED = (
         "uncertified", "some clause of the certificate fails", "read which, and where; do not fly the plan as it is",
     )  # fmt: skip
+
+    ERROR = "error", "it was broken off, and there is no answer", "read the reason, mend what it names, and ask again"
 
     def __new__(cls, word: str, text: str = "", mend: str = "") -> Status:
         """A member of this word, with its text and its mend."""

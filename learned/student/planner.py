@@ -9,9 +9,10 @@ clause of the certificate fails.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
@@ -24,9 +25,10 @@ from flockopt.bundles.refine import refine_bundles
 from flockopt.errors import SettingsError, require
 from flockopt.flights.decode import decode
 from flockopt.flights.waypoints import waypoints_from_paths
-from flockopt.planning.planners import PLANNERS, Planner, Proposal, Request
+from flockopt.planning.planners import PLANNERS, Proposal, Request
 from flockopt.records.arrays import FloatArray
 from flockopt.scene import Scene
+from learned.networks.planners import planner_of_many
 from learned.networks.shipped import load_once, shipped_path
 from learned.smoother.smoother import WEIGHTS as TIMED_WEIGHTS
 from learned.smoother.smoother import smooth_flights
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HYBRID", "LEARNED", "LEARNED_PAPER", "PAPER_WEIGHTS", "WEIGHTS", "drawn_plan", "drawn_plans", "loaded_student",
-    "searched_plan", "shipped_student",
+    "searched_plan", "searched_plans", "shipped_student",
 ]  # fmt: skip
 
 #: The weights that come with the package, of the default configuration and of the paper's.
@@ -92,19 +94,13 @@ def loaded_student(backend: str | None = None, path: Path = WEIGHTS) -> Loaded:
     return loaded(student, path, backend)
 
 
-def learned(request: Request) -> Proposal:
-    """The network's bundles and flights."""
-    return _drawn_proposal(loaded_student(request.backend), request)
-
-
-def learned_paper(request: Request) -> Proposal:
-    """The same by the paper's configuration, which draws whole fleets: only torch computes that."""
-    return _drawn_proposal(loaded_student(request.backend, PAPER_WEIGHTS), request)
-
-
-def _drawn_proposal(student: Loaded, request: Request) -> Proposal:
-    bundles, drawing, timing = drawn_plan(student.network, request)
-    return Proposal(bundles, None if drawing is None else drawing.samples, timing, made_with=_told(student))
+def learned(requests: Sequence[Request], weights: Path = WEIGHTS) -> list[Proposal]:
+    """The network's bundles and flights; of the paper's configuration, which draws whole fleets, only torch computes them."""
+    student = loaded_student(requests[0].backend, weights)
+    return [
+        Proposal(bundles, None if drawing is None else drawing.samples, timing, made_with=_told(student))
+        for bundles, drawing, timing in drawn_plans(student.network, requests)
+    ]
 
 
 def _told(student: Loaded) -> dict[str, str]:
@@ -127,43 +123,56 @@ def drawn_plans(student: Network, requests: Sequence[Request]) -> list[DrawnPlan
 
     The seconds of each stage are shared evenly.
     """
+    return _plans(student, requests, _mended)
+
+
+def _mended(request: Request, preferences: FloatArray | None) -> Bundles:
+    """Bundles along the preferences, mended where capacities break them."""
+    return refine_bundles(
+        request.scene, preferences, travel=request.travel, iterations=REFINING_ITERATIONS,
+        time_limit_s=request.time_limit_s, seed=request.seed,
+    )  # fmt: skip
+
+
+def _plans(
+    student: Network, requests: Sequence[Request], search: Callable[[Request, FloatArray | None], Bundles]
+) -> list[DrawnPlan]:
+    """What is searched for on each scene's probabilities, and what is drawn for it."""
     if not requests:
         return []
     began = perf_counter()
     with _threads(requests):
         probabilities, tokens = _decisions(student, [request.scene for request in requests])
     headed = perf_counter()
-    found = [
-        refine_bundles(
-            request.scene, preferences, travel=request.travel, iterations=REFINING_ITERATIONS,
-            time_limit_s=request.time_limit_s, seed=request.seed,
-        )
-        for request, preferences in zip(requests, probabilities, strict=True)
-    ]  # fmt: skip
-    refined = perf_counter()
+    found = [search(request, preferences) for request, preferences in zip(requests, probabilities, strict=True)]
+    searched = perf_counter()
     with _threads(requests):
         drawings = _drawings(student, requests, found, tokens)
-    seconds = {"head": headed - began, "refine": refined - headed, "generate": perf_counter() - refined}
+    seconds = {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
     timing = {stage: total / len(requests) for stage, total in seconds.items()}
     return [(bundles, drawing, dict(timing)) for bundles, drawing in zip(found, drawings, strict=True)]
 
 
-def hybrid(request: Request) -> Proposal:
+def hybrid(requests: Sequence[Request]) -> list[Proposal]:
     """The better of two searches, one of them guided by the network, and the networks' flights; else the classical plan.
 
     Where the time limit is too short for the networks, the classical proposal, and the plan says so.
     """
-    classical = PLANNERS["classical"]
-    if request.time_limit_s is not None and request.time_limit_s < _networks_need_s(request.scene, request.backend):
-        return replace(classical.propose(request), made_with={"networks": "none: the time limit is too short for them"})
-    student = loaded_student(request.backend)
-    bundles, drawing, timing = searched_plan(student.network, request)
-    samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
-    _ANSWERED.add(request.backend)
+    classical, backend = PLANNERS["classical"], requests[0].backend
+    limit_s = requests[0].time_limit_s
+    if limit_s is not None and limit_s < max(_networks_need_s(request.scene, backend) for request in requests):
+        without = {"networks": "none: the time limit is too short for them"}
+        return [replace(classical.propose(request), made_with=without) for request in requests]
+    student = loaded_student(backend)
+    proposals = []
+    for request, (bundles, drawing, timing) in zip(requests, searched_plans(student.network, requests), strict=True):
+        samples = None if drawing is None else _sooner(request, bundles, drawing.samples)
+        proposals.append(Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights))
+    _ANSWERED.add(backend)
     from learned.networks.weight_files import file_digest
 
     told = _told(student) | {"smoother_weights": load_once(file_digest, TIMED_WEIGHTS)}
-    return Proposal(bundles, samples, timing, otherwise=classical, smoother=smooth_flights, made_with=told)
+    return [replace(proposal, made_with=told) for proposal in proposals]
 
 
 def _networks_need_s(scene: Scene, backend: str | None) -> float:
@@ -177,33 +186,36 @@ def _is_ready() -> bool:
     return all(path.exists() for path in (WEIGHTS, TIMED_WEIGHTS)) and all(map(find_spec, ("torch", "safetensors")))
 
 
-LEARNED = Planner(learned, is_ready=_is_ready, takes_backend=True)
-LEARNED_PAPER = Planner(learned_paper, "learned-paper", is_ready=_is_ready, takes_backend=True)
+LEARNED = planner_of_many(learned, "learned", is_ready=_is_ready, takes_backend=True)
+LEARNED_PAPER = planner_of_many(
+    partial(learned, weights=PAPER_WEIGHTS), "learned-paper", is_ready=_is_ready, takes_backend=True
+)
 
 #: It plans where nobody is named and it is ready: its fleets are done sooner, and it is never farther in than ``classical``.
-HYBRID = Planner(hybrid, is_ready=_is_ready, takes_backend=True, rank=20)
+HYBRID = planner_of_many(hybrid, "hybrid", is_ready=_is_ready, takes_backend=True, rank=20)
 
 
 def searched_plan(student: Network, request: Request) -> DrawnPlan:
     """The better bundles of two searches, what the denoiser draws for them if it can, and seconds by stage."""
-    began = perf_counter()
-    with _threads([request]):
-        (preferences,), tokens = _decisions(student, [request.scene])
-    headed = perf_counter()
-    found = [_searched(request, None, SEARCH_SHARE)]
-    if preferences is not None:
-        found.append(_searched(request, preferences, GUIDED_SHARE))
-    best = _better(request, *found)
-    searched = perf_counter()
-    with _threads([request]):
-        (drawing,) = _drawings(student, [request], [best], tokens)
-    return best, drawing, {"head": headed - began, "refine": searched - headed, "generate": perf_counter() - searched}
+    (searched,) = searched_plans(student, [request])
+    return searched
 
 
-def _better(request: Request, plain: Bundles, guided: Bundles | None = None) -> Bundles:
+def searched_plans(student: Network, requests: Sequence[Request]) -> list[DrawnPlan]:
+    """`searched_plan` of several scenes, in as many passes of the network as one takes, as `drawn_plans`."""
+    return _plans(student, requests, _best_of_two)
+
+
+def _best_of_two(request: Request, preferences: FloatArray | None) -> Bundles:
+    """The better bundles of a search of its own and, where there are preferences, of one that they guide."""
+    plain = _searched(request, None, SEARCH_SHARE)
+    return plain if preferences is None else _better(request, plain, _searched(request, preferences, GUIDED_SHARE))
+
+
+def _better(request: Request, plain: Bundles, guided: Bundles) -> Bundles:
     """The guided bundles where they travel less and the fleet is done no later along its paths; else the plain ones."""
-    if guided is None or guided.unserved or plain.unserved:
-        return plain if guided is None or len(plain.unserved) <= len(guided.unserved) else guided
+    if guided.unserved or plain.unserved:
+        return plain if len(plain.unserved) <= len(guided.unserved) else guided
     scene, travel = request.scene, request.travel
     if travel.total(guided.routes) >= travel.total(plain.routes):
         return plain

@@ -21,11 +21,12 @@ from flockopt.bundles.refine import refine_bundles
 from flockopt.bundles.request import RouteTuple
 from flockopt.errors import require
 from flockopt.planning.margins import roomier
-from flockopt.planning.planners import ANY_ANGLE, Planner, Proposal, Request
+from flockopt.planning.planners import ANY_ANGLE, Proposal, Request
 from flockopt.records.arrays import FloatArray
 from flockopt.records.status import Status
 from flockopt.scene import Scene
 from flockopt.travel import Travel
+from learned.networks.planners import planner_of_many
 from learned.networks.shipped import load_once
 from learned.paths.rollout import route_legs
 from learned.paths.ways import PATHS, LegPlanner, find_ways
@@ -54,30 +55,46 @@ def allocator(method: str) -> Allocator:
     return load_once(load_allocator, method)
 
 
-def _propose(request: Request, method: str, refines: bool = False) -> Proposal:
-    """Bundles by a learned allocator, and the paths asked for as control points where they are not the any-angle ones."""
+def _propose(requests: Sequence[Request], method: str, refines: bool = False) -> list[Proposal]:
+    """Bundles by a learned allocator, and the paths asked for as control points where they are not the any-angle ones.
+
+    The networks decide for all requests at once; the seconds of a stage that they share are shared evenly.
+    """
     began = perf_counter()
-    ways = find_ways(request.scene, request.paths, travel=request.travel)
+    ways = [find_ways(request.scene, request.paths, travel=request.travel) for request in requests]
     asked = perf_counter()
-    (allocation,) = allocator(method).bundles([request.scene], [ways.travel])
+    scenes, travels = [request.scene for request in requests], [way.travel for way in ways]
+    allocations = allocator(method).bundles(scenes, travels)
     decided = perf_counter()
-    routes = allocation.routes
+    routes = [allocation.routes for allocation in allocations]
     if refines:
-        complete = refine_bundles(request.scene, travel=ways.travel, warm_start=routes, iterations=0)  # inserts what is left
-        (routes,) = refined([request.scene], [ways.travel], [complete.routes])
-    bundles = bundles_of(request.scene, ways.travel, routes, method)
+        complete = [  # what is left is inserted
+            refine_bundles(scene, travel=travel, warm_start=some, iterations=0).routes
+            for scene, travel, some in zip(scenes, travels, routes, strict=True)
+        ]
+        routes = refined(scenes, travels, complete)
+    found = [bundles_of(scene, travel, some, method) for scene, travel, some in zip(scenes, travels, routes, strict=True)]
     allocated = perf_counter()
-    samples = None
-    if request.paths != ANY_ANGLE and bundles.status != "infeasible":
-        leg = ways.leg
-        if request.tracking_margin_m > 0.0:
-            margins = request.tracking_margin_m, 2.0 * request.tracking_margin_m
-            roomier_scene, roomier_travel = roomier(request.scene, request.travel, bundles, *margins)
-            leg = find_ways(roomier_scene, request.paths, travel=roomier_travel).leg
-        samples = control_points(request.scene, bundles, leg)
-    timing = {"oracle": asked - began, "policy": decided - asked, "refine": allocated - decided}
-    timing["legs"] = perf_counter() - allocated
-    return Proposal(bundles, samples, timing, episode_steps=allocation.steps)
+    stages = {"oracle": asked - began, "policy": decided - asked, "refine": allocated - decided}
+    shares = {stage: seconds / len(requests) for stage, seconds in stages.items()}
+    proposals = []
+    for request, way, bundles, allocation in zip(requests, ways, found, allocations, strict=True):
+        before = perf_counter()
+        samples = _samples(request, way.leg, bundles)
+        timing = shares | {"legs": perf_counter() - before}
+        proposals.append(Proposal(bundles, samples, timing, episode_steps=allocation.steps))
+    return proposals
+
+
+def _samples(request: Request, leg: LegPlanner, bundles: Bundles) -> FloatArray | None:
+    """The paths asked for as control points, None where they are the any-angle ones."""
+    if request.paths == ANY_ANGLE or bundles.status == "infeasible":
+        return None
+    if request.tracking_margin_m > 0.0:
+        margins = request.tracking_margin_m, 2.0 * request.tracking_margin_m
+        roomier_scene, roomier_travel = roomier(request.scene, request.travel, bundles, *margins)
+        leg = find_ways(roomier_scene, request.paths, travel=roomier_travel).leg
+    return control_points(request.scene, bundles, leg)
 
 
 def refined(scenes: Sequence[Scene], travels: Sequence[Travel], routes: Sequence[RouteTuple]) -> list[RouteTuple]:
@@ -114,7 +131,7 @@ def control_points(scene: Scene, bundles: Bundles, leg: LegPlanner) -> FloatArra
     return np.stack([np.concatenate([path, np.repeat(path[-1:], most - len(path), axis=0)]) for path in paths])
 
 
-MAGNNET = Planner(partial(_propose, method="magnnet"), "magnnet", PATHS)
-MAGNNET_BUNDLING = Planner(partial(_propose, method="magnnet-bundling"), "magnnet-bundling", PATHS)
-TEACHER = Planner(partial(_propose, method="teacher", refines=True), "teacher", PATHS)
-TEACHER_UNREFINED = Planner(partial(_propose, method="teacher"), "teacher-unrefined", PATHS)
+MAGNNET = planner_of_many(partial(_propose, method="magnnet"), "magnnet", paths=PATHS)
+MAGNNET_BUNDLING = planner_of_many(partial(_propose, method="magnnet-bundling"), "magnnet-bundling", paths=PATHS)
+TEACHER = planner_of_many(partial(_propose, method="teacher", refines=True), "teacher", paths=PATHS)
+TEACHER_UNREFINED = planner_of_many(partial(_propose, method="teacher"), "teacher-unrefined", paths=PATHS)

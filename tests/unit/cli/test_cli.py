@@ -147,7 +147,7 @@ def test_show_draws_a_scene_alone(flockopt, root, tmp_path, suffix):
     assert target.stat().st_size > 1000
 
 
-@pytest.mark.parametrize("command", [(), ("plan",), ("verify",), ("show",), ("generate",)])
+@pytest.mark.parametrize("command", [(), ("plan",), ("plan-many",), ("verify",), ("show",), ("generate",)])
 def test_help_teaches_by_example(command):
     done = subprocess.run([sys.executable, "-m", "flockopt", *command, "--help"], capture_output=True, text=True)
     assert done.returncode == 0

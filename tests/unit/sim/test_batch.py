@@ -19,10 +19,12 @@ pytest.importorskip("pybullet", reason="pybullet comes with the extra 'sim'")
 
 from flockopt import MissingExtra, SettingsError
 from flockopt.batches.backends import BACKENDS, open_backend
+from flockopt.batches.journal import ROWS
+from flockopt.batches.workers import MOST_DEATHS
 from flockopt.records.status import PLAN_STATUSES
 from sim import evaluate
-from sim.trials.batch import MOST_DEATHS, run_batch
-from sim.trials.journal import ROWS, Journal
+from sim.trials.batch import run_batch
+from sim.trials.journal import Journal
 from sim.trials.status import TrialStatus
 from sim.trials.summary import flawless, summary_text
 from sim.trials.trial import COLUMNS, Result, Trial, run_trial
