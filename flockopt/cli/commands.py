@@ -64,6 +64,9 @@ def plan_many(options: argparse.Namespace) -> int:
     from flockopt.planning.many import plan_many as plan_scenes
 
     scenes = scene_files(*options.scenes)
+    if os.path.realpath(options.out) in map(os.path.realpath, options.scenes):
+        rule = "must not be a folder of scenes: what is written there would be taken for them"
+        raise SettingsError("--out", f"is {options.out}", rule, "choose another folder")
     settings, report = _settings(options), text.RowsReport()
     rows = plan_scenes(
         scenes, settings, out=options.out, jobs=options.jobs, workers=options.workers, keep_plans=options.keep_plans,

@@ -92,16 +92,15 @@ def scene_files(*places: str | Path) -> list[Path]:
     """Scene files: each place that is a file, and of each that is a folder the files that end in ``.json``, by name.
 
     Raises:
-        SettingsError: If there is nothing at a place.
+        SettingsError: If there is nothing at a place, or no such file in a folder.
     """
     found: list[Path] = []
     for place in map(Path, places):
-        if place.is_dir():
-            found += sorted(path for path in place.glob("*.json") if path.is_file())
-        elif place.exists():
-            found.append(place)
-        else:
-            raise SettingsError("scenes", f"are {place}, which is not there", "must be a folder or files", "check the path")
+        inside = sorted(path for path in place.glob("*.json") if path.is_file()) if place.is_dir() else [place]
+        if not inside or not place.exists():
+            seen = f"are {place}, which {'holds no .json file' if place.exists() else 'is not there'}"
+            raise SettingsError("scenes", seen, "must be scene files, or folders of them", "check the path")
+        found += inside
     return found
 
 

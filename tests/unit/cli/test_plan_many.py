@@ -75,6 +75,12 @@ def test_bad_input_is_one_line_and_writes_nothing(flockopt, scenes, tmp_path, ar
     assert not (tmp_path / "out").exists()
 
 
+def test_rows_are_not_written_among_the_scenes(flockopt, scenes):
+    before = sorted(scenes.iterdir())
+    status, _, error = flockopt("plan-many", scenes, "--planner", "classical", "--out", f"{scenes}/")
+    assert status == 2 and "must not be a folder of scenes" in error and sorted(scenes.iterdir()) == before
+
+
 def test_a_folder_of_another_study_is_refused(flockopt, scenes, tmp_path):
     arguments = ["plan-many", scenes, "--planner", "classical", "--out", tmp_path / "out", "--quiet"]
     assert flockopt(*arguments)[0] == 0

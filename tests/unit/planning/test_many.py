@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import os
 import pickle
 import signal
 import subprocess
@@ -225,8 +226,10 @@ def test_folders_stand_for_their_files(tmp_path):
     (tmp_path / "notes.txt").touch()
     assert [path.name for path in scene_files(tmp_path, tmp_path / "b.json")] == ["a.json", "b.json", "b.json"]
     assert [row.scene for row in plan_many(tmp_path, planner="classical")] == [SCENES[1].name, SCENES[0].name]
-    with pytest.raises(SettingsError, match=r"scenes are .*nowhere, which is not there"):
-        plan_many(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    for name, words in (("nowhere", "is not there"), ("empty", "holds no .json file")):
+        with pytest.raises(SettingsError, match=f"scenes are .*{name}, which {words}"):
+            plan_many(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -273,6 +276,26 @@ def test_one_that_spoils_its_company_is_planned_alone():
     found = list(plan_many(SCENES, planner=batched([], spoiled=SCENES[2].name), seed=3))
     assert [row.status for row in found] == ["certified"] * 2 + ["error"] + ["certified"] * 3
     assert found[2].reason == "ValueError: spoiled"
+
+
+def killing(request):
+    """A planner that one scene kills, with all the process."""
+    if request.scene.name == SCENES[2].name:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return CLASSICAL.propose(request)
+
+
+def killing_many(requests):
+    return [killing(request) for request in requests]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("propose_many", [None, killing_many])
+def test_a_scene_that_kills_its_workers_is_given_up_alone(rows, tmp_path, propose_many):
+    planner = Planner(killing, "classical", propose_many=propose_many)
+    found = list(plan_many(SCENES, planner=planner, seed=3, jobs=2, out=tmp_path))
+    assert found[2].status == "error" and found[2].reason == "it brought 3 workers down"
+    assert found[:2] + found[3:] == rows[:2] + rows[3:]
 
 
 def test_a_grounded_drone_in_the_way_spoils_no_batch():
