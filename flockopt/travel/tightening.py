@@ -93,9 +93,12 @@ def _tight(
 ) -> int:  # fmt: skip
     """Fill ``path`` with the taut one from place i to place j along a chain; how many vertices it has."""
     size = _all_at_once(around, features, path, chain, _begin(path, chain, points, i, j, features, over))
-    if size > 0 and _skip(around, path, chain, size) == size and not _is_held(features, path, chain, size):
-        return size
-    size = size if size > 0 else _begin(path, chain, points, i, j, features, over)
+    if size < 0:
+        size = _begin(path, chain, points, i, j, features, over)
+    else:
+        given, size = size, _skip(around, path, chain, size)
+        if size == given and not _is_held(features, path, chain, size):
+            return size
     return _one_by_one(around, features, path, chain, size)
 
 
@@ -247,10 +250,12 @@ def _move_along(
     last: int,
     moves: FloatArray,
 ) -> None:
-    """Move bends ``first`` to ``last`` along their edges, all by the same share of ``moves``, as far as that is clear."""
-    before, after = np.empty(3), np.empty(3)
+    """Move bends ``first`` to ``last`` along their edges, all by the same share of ``moves``, if that is clear and shorter."""
+    before, after, length = np.empty(3), np.empty(3), 0.0
+    for i in range(first, last + 2):
+        length += segment_length(path[i - 1], path[i])
     for share in SHARES:
-        clear = True
+        clear, left = True, length
         for i in range(first, last + 2):
             for axis in range(3):
                 before[axis], after[axis] = path[i - 1, axis], path[i, axis]
@@ -258,8 +263,9 @@ def _move_along(
                     before[axis] += share * moves[i - 1] * features.along[chain[i - 1], axis]
                 if i <= last:
                     after[axis] += share * moves[i] * features.along[chain[i], axis]
-            clear = clear and not obstructed(around, before, after)
-        if clear:
+            left -= segment_length(before, after)
+            clear = clear and is_within(around, after) and not obstructed(around, before, after)
+        if clear and left >= 0.0:
             for i in range(first, last + 1):
                 for axis in range(3):
                     path[i, axis] += share * moves[i] * features.along[chain[i], axis]

@@ -272,6 +272,13 @@ def test_a_planner_that_can_is_asked_about_many_at_once(tmp_path):
     assert asked == []
 
 
+def test_a_batch_holds_a_scene_once():
+    asked = []
+    found = list(plan_many([SCENES[0], SCENES[0], SCENES[1], SCENES[0]], planner=batched(asked)))
+    assert asked == [[SCENES[0].name, SCENES[1].name]]
+    assert [row.scene for row in found] == [SCENES[number].name for number in (0, 0, 1, 0)]
+
+
 def test_one_that_spoils_its_company_is_planned_alone():
     found = list(plan_many(SCENES, planner=batched([], spoiled=SCENES[2].name), seed=3))
     assert [row.status for row in found] == ["certified"] * 2 + ["error"] + ["certified"] * 3
