@@ -31,7 +31,7 @@ LEAST_STRETCH_M = 1e-6
 #: How far, as the product of two sines, an edge may be from tangent at a feature and still be of use.
 EDGE_SLACK, UNDERSIDE_SLACK, SPHERE_SLACK = 1e-10, 0.03, 0.25
 #: Among so few features it is never less than this: a line may cut a prism's corner and clear what is rounder inside.
-FEW_FEATURES, CUT_SLACK = 380, 0.15
+FEW_FEATURES, CUT_SLACK = 380, 0.25
 
 #: Where a feature's columns begin while features are made: see `Features`.
 POSITION, NORMAL, OTHER_NORMAL, ALONG, INWARD, ROOM, SLACK, BACK, ONWARD, CAP, BESIDE = 0, 3, 6, 9, 12, 15, 16, 17, 18, 19, 20
