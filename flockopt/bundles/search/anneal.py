@@ -39,8 +39,10 @@ __all__ = ["default_iterations", "search"]
 FIRST_HEAT, LAST_HEAT, FINAL_HEAT = 0.6, 0.2, 0.001
 FINAL_SHARE = 0.1
 
-#: How many tasks a ruin takes on average, and how often tails are matched after they are put back.
-MEAN_RUINED, MATCH_SHARE = 10.0, 1.0
+#: How many tasks a ruin takes on average, and how often tails are matched after they are put back; and the same where there are
+#: so many tasks that a ruin is small beside the whole.
+MEAN_RUINED, MATCH_SHARE = 6.0, 0.5
+MANY_TASKS, MEAN_RUINED_OF_MANY, MATCH_SHARE_OF_MANY = 300, 10.0, 1.0
 
 #: How often a place is overlooked on purpose when tasks are put back, at least; times the number of tasks, so often where there
 #: are so few that a ruin takes all of them, and they would go back the same few ways.
@@ -152,6 +154,9 @@ class _Annealer:
         travel, num_served = self._best_cost - problem.penalty * num_waiting, len(problem.demand) - num_waiting
         self._scale = travel / max(num_served, 1)
         self._blink_share = max(BLINK_SHARE, BLINKS / max(len(problem.demand), 1))
+        is_many = len(problem.demand) > MANY_TASKS
+        self._mean_ruined = MEAN_RUINED_OF_MANY if is_many else MEAN_RUINED
+        self._match_share = MATCH_SHARE_OF_MANY if is_many else MATCH_SHARE
 
     def run(self, clock: _Clock, begin: float, end: float, first_heat: float, last_heat: float) -> None:
         """Anneal until the share ``end`` of the search is over, colder all the time."""
@@ -161,7 +166,7 @@ class _Annealer:
             cooling = 1.0 if clock.is_timed else (last_heat / first_heat) ** (1.0 / step)
             cost = math.nan
             for first, last in NEVER.slices(step, DOING, FIRST_SLICE):
-                rates = MEAN_RUINED, self._blink_share, MATCH_SHARE
+                rates = self._mean_ruined, self._blink_share, self._match_share
                 stretch = Stretch(last - first, temperature, cooling, *rates, self._from_best)
                 state = self._problem, self._routes, self._matching, self.best_after
                 cost, self._best_cost, temperature = _anneal(*state, cost, self._best_cost, stretch)
