@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from time import perf_counter, process_time
 
@@ -226,7 +227,7 @@ def _draw(growth: Sequence[Record], path: Path) -> None:
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     for axes, name, other in zip(figure.subplots(1, 2), ("obstacles", "places"), ("places", "obstacles"), strict=True):
         fixed = FEW_PLACES if name == "obstacles" else BUILDINGS
-        rows = [row for row in growth if row[other] == fixed]
+        rows = sorted((row for row in growth if row[other] == fixed), key=itemgetter(name))
         for column, words in (("seconds", "from nothing"), ("again_s", "obstacles known")):
             axes.loglog([row[name] for row in rows], [row[column] for row in rows], "o-", label=words)
         axes.set(xlabel=f"{name}, with {fixed} {other}", ylabel="seconds for all pairs")
