@@ -7,10 +7,16 @@ import pytest
 
 from flockopt import compute_travel, generate
 from flockopt.geometry.distances import SPHERE, distances
+from flockopt.geometry.free_space import free_space
 from flockopt.geometry.kernels import segment_distances
+from flockopt.scene import Box
 from flockopt.scene.families.layouts import FAMILIES
+from flockopt.scene.parts import obstacle_table
 from flockopt.travel import roadmap
+from flockopt.travel.bends import make_features
 from flockopt.travel.roadmap import Roadmap, roadmap_among
+from flockopt.travel.sight import seen_by_features
+from flockopt.travel.surroundings import surroundings
 
 NEED = 0.22
 
@@ -101,3 +107,48 @@ def test_among_many_places_only_near_legs_are_pulled_taut(monkeypatch):
             path = some.path(0, i, j)
             assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(lengths[i, j], abs=1e-9)
             assert i == j or segment_distances(scene.obstacle_table, path[:-1], path[1:]).min() >= NEED - 1e-9
+
+
+def test_a_place_nearer_than_the_margin_is_left_with_half_the_room_it_has():
+    table = obstacle_table([Box("near", (4, 6, 2), (2, 2, 4)), Box("far", (8, 6, 2), (2, 2, 4))])
+    place, other = np.array([3.0 - NEED - 0.01, 6.0, 2.0]), np.array([11.0, 6.0, 2.0])
+    with_margin = Roadmap(table, NEED, ((0, 0, 0), (12, 12, 4)), 0.05)
+    length, path = with_margin.path(place, other)
+    assert np.isfinite(length)
+    gaps = segment_distances(table, path[:-1], path[1:]).min(axis=0)
+    assert NEED + 0.005 - 1e-9 <= gaps[0] < NEED + 0.05 and gaps[1] >= NEED + 0.05 - 1e-9
+
+
+def test_lines_along_and_over_a_roof_are_seen_from_its_corners():
+    space = free_space(obstacle_table([Box("low", (6, 6, 0.5), (2, 2, 1))]), NEED, ((0, 0, 0), (12, 12, 4)))
+    features = make_features(space)
+    everybody = np.arange(len(features.position))
+    pairs = set(map(tuple, seen_by_features(surroundings(space), features, everybody, False).tolist()))
+    corners = np.flatnonzero(features.cap == 1.0)
+    edges = np.flatnonzero((features.along[:, 2] == 0.0) & (features.second[:, 2] > 0.0))
+    assert len(corners) == 8 and len(edges) >= 4
+    assert all((min(c, e), max(c, e)) in pairs for c in corners for e in edges)
+
+
+def test_pulling_taut_never_lengthens_a_way(monkeypatch):
+    scene = generate("forest", drones=10, tasks=40, seed=1)
+    points, taken = np.vstack([scene.starts, scene.task_positions]), []
+    pull = roadmap.tightened
+    monkeypatch.setattr(roadmap, "tightened", lambda *given: taken.append((given, made := pull(*given))) or made)
+    all_legs(Roadmap(scene.obstacle_table, NEED, bounds_of(scene), 0.005), points)
+    ratios = []
+    for (_, _, places, features, pairs, begin, count, chains), (lengths, *_) in taken:
+        for pair, first, (many, _), length in zip(pairs, begin, count, lengths, strict=True):
+            raw = np.vstack([places[pair[0]], features.position[chains[first : first + many]], places[pair[1]]])
+            ratios.append(length / np.linalg.norm(np.diff(raw, axis=0), axis=1).sum())
+    assert len(ratios) > 200 and max(ratios) <= 1.0 + 1e-12
+
+
+def test_a_second_chain_makes_some_ways_shorter(monkeypatch):
+    scene = generate("city", drones=5, tasks=25, seed=0)
+    points = np.vstack([scene.starts, scene.task_positions])
+    both = all_legs(Roadmap(scene.obstacle_table, NEED, bounds_of(scene), 0.005), points).lengths
+    find = roadmap.chains_between
+    monkeypatch.setattr(roadmap, "chains_between", lambda *given: find(*given[:-1], False))
+    one = all_legs(Roadmap(scene.obstacle_table, NEED, bounds_of(scene), 0.005), points).lengths
+    assert (both <= one + 1e-9).all() and (both < 0.999 * one).any()
