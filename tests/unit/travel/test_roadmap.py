@@ -9,7 +9,7 @@ from flockopt import compute_travel, generate
 from flockopt.geometry.distances import SPHERE, distances
 from flockopt.geometry.free_space import free_space
 from flockopt.geometry.kernels import segment_distances
-from flockopt.scene import Box
+from flockopt.scene import Box, Sphere
 from flockopt.scene.families.layouts import FAMILIES
 from flockopt.scene.parts import obstacle_table
 from flockopt.travel import roadmap
@@ -152,3 +152,18 @@ def test_a_second_chain_makes_some_ways_shorter(monkeypatch):
     monkeypatch.setattr(roadmap, "chains_between", lambda *given: find(*given[:-1], False))
     one = all_legs(Roadmap(scene.obstacle_table, NEED, bounds_of(scene), 0.005), points).lengths
     assert (both <= one + 1e-9).all() and (both < 0.999 * one).any()
+
+
+def test_where_no_tangents_lead_on_any_clear_line_does(monkeypatch):
+    balls = [(1.372, 1.662, 0.916, 1.192), (1.372, 3.178, 1.523, 0.797), (2.736, 4.237, 1.745, 0.939)]
+    balls += [(4.059, 3.821, 2.058, 1.187), (4.899, 3.638, 1.114, 0.859), (4.472, 3.676, 1.589, 0.51)]
+    table = obstacle_table([Sphere(f"s{k}", (x, y, z), radius) for k, (x, y, z, radius) in enumerate(balls)])
+    place, other, space = (1.293, 1.122, 2.426), (0.347, 0.619, 0.978), ((0, 0, 0), (6, 6, 3))
+    length, path = Roadmap(table, 0.2, space).path(place, other)
+    assert np.isfinite(length)
+    assert segment_distances(table, path[:-1], path[1:]).min() >= 0.2 - 1e-9
+    find = Roadmap._chains
+    monkeypatch.setattr(
+        Roadmap, "_chains", lambda self, eased, points, pairs, _, deadline: find(self, eased, points, pairs, False, deadline)
+    )
+    assert np.isinf(Roadmap(table, 0.2, space).path(place, other)[0])
