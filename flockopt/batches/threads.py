@@ -54,7 +54,7 @@ def spread(work: Callable[[int, int], T], rounds: int, doing: str, deadline: Dea
             for future in running:
                 future.result()
         finally:
-            left.begin = rounds  # nobody begins another slice
+            left.stop()
     return parts + [part for _, part in sorted(left.parts.items())]
 
 
@@ -67,6 +67,11 @@ class _Rest(Generic[T]):
         self.work, self.begin, self.rounds, self.doing, self.deadline, self.first = work, begin, rounds, doing, deadline, first
         self.parts: dict[int, T] = {}
         self.lock = threading.Lock()
+
+    def stop(self) -> None:
+        """Let nobody begin another slice."""
+        with self.lock:
+            self.begin = self.rounds
 
     def do(self) -> None:
         """Take slices until none is left, each of about `SLICE_S`."""

@@ -133,7 +133,7 @@ def _unbroken(make: Callable[[], list[Plan]]) -> list[Plan]:
     """What is made; whatever is raised meanwhile, but for an interrupt, is `_Broken`."""
     try:
         return make()
-    except Exception as fault:
+    except Exception as fault:  # whatever goes wrong in one scene is its row, and not the end of a study
         if is_interrupt(fault):
             raise KeyboardInterrupt from fault
         raise _Broken(f"{type(fault).__name__}: {fault}") from fault

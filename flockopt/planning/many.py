@@ -225,7 +225,7 @@ class _Study:
                 elif asked.key not in self.taken:
                     self.taken.add(asked.key)
                     yield asked
-        except Exception as fault:
+        except Exception as fault:  # raised again when the rows of all scenes before it are given
             self.fault = fault
 
     def _read(self, number: int, source: object) -> Asked | Made:
