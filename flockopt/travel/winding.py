@@ -74,7 +74,8 @@ def wound(features: Features, f: int, before: FloatArray, at: FloatArray, after:
     away_a, away_b = math.sqrt(a0 * a0 + a1 * a1 + a2 * a2), math.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
     if away_a <= room or away_b <= room:
         return NOT_ROUND
-    # in one piece, as one reads a construction: u points to `before`, v a quarter turn on; angles are measured from u, towards the side where the string is now
+    # in one piece, as one reads a construction: u points to `before`, v a quarter turn on; angles are measured from u, towards
+    # the side where the string is now
     u0, u1, u2 = a0 / away_a, a1 / away_a, a2 / away_a
     v0, v1, v2 = e1 * u2 - e2 * u1, e2 * u0 - e0 * u2, e0 * u1 - e1 * u0
     c0, c1, c2 = at[0] - core[0], at[1] - core[1], at[2] - core[2]
